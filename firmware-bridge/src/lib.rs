@@ -1,0 +1,1 @@
+//! The arm's side of a PickCell.

@@ -1,0 +1,10 @@
+//! The driver of one robot cell: two webcams look into a bin of thin parts, the arm gets grasp targets.
+//!
+//! ```text
+//! camera ─ FramePair ─ BitImage ─ Skeleton ─ Graph ─ StereoMatch ─ PartPose ─ GraspTarget ─ arm
+//!          pair        binarize   thin       graph   harmony       pose       grasp
+//! ```
+
+pub mod frame;
+pub mod time;
+pub mod vision;

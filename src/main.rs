@@ -1,0 +1,2 @@
+//! The `pickcell` program.
+fn main() {}

@@ -1,0 +1,7 @@
+//! Pixels to nodes and edges: [`binarize`](mod@binarize) (paper IV-A), [`thin`](mod@thin) (IV-B),
+//! [`graph`](mod@graph) (IV-C), on [packed bit images](bits::BitImage).
+
+pub mod binarize;
+pub mod bits;
+pub mod graph;
+pub mod thin;
