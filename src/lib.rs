@@ -5,6 +5,7 @@
 //!          pair        binarize   thin       graph   harmony       pose       grasp
 //! ```
 
+pub mod config;
 pub mod frame;
 pub mod time;
 pub mod vision;

@@ -1,0 +1,265 @@
+//! What the checks say, message by message.
+
+use std::path::PathBuf;
+
+use super::*;
+
+/// A cell that is right, in a folder with the files that it names.
+struct Bench {
+    folder: tempfile::TempDir,
+}
+
+const GOOD: &str = r#"
+[cameras]
+backend = "v4l2"
+pair_window_ms = 12.0
+
+[cameras.left]
+device = "/dev/v4l/by-path/left"
+format = "YUYV"
+width = 640
+height = 480
+rate_hz = 30.0
+controls = { auto_exposure = "Manual Mode", exposure_time_absolute = 150, white_balance_automatic = false }
+
+[cameras.right]
+device = "/dev/v4l/by-path/right"
+format = "YUYV"
+width = 640
+height = 480
+rate_hz = 30.0
+
+[rig]
+calibration = "rig.yaml"
+base_from_left = { translation_mm = [250.0, 0.0, 484.7], quaternion_xyzw = [1.0, 0.0, 0.0, 0.0] }
+
+[recognition]
+parts = ["rod.toml"]
+colour = { min = [100, 100, 100], max = [255, 255, 255] }
+region_px = [[10, 10], [630, 10], [630, 470], [10, 470]]
+hmcr = 0.7
+
+[deadline]
+deadline_ms = 60
+
+[place]
+first_mm = [300.0, 100.0, 20.0]
+column_step_mm = [20.0, 0.0, 0.0]
+columns = 5
+state = "place.state"
+
+[realtime]
+grab_priority = 31
+"#;
+
+impl Bench {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        for name in ["rig.yaml", "rod.toml"] {
+            std::fs::write(folder.path().join(name), "").expect("an empty file");
+        }
+        Bench { folder }
+    }
+
+    fn check(&self, text: &str) -> Result<Cell, ConfigError> {
+        Cell::check(&Source { file: self.folder.path().join("cell.toml"), text: text.to_owned() })
+    }
+
+    /// The message for [`GOOD`] with one piece of its text replaced, without the folder's name.
+    fn message(&self, was: &str, is: &str) -> String {
+        assert!(GOOD.contains(was), "{was:?} is not in the good cell");
+        let error = self.check(&GOOD.replacen(was, is, 1)).expect_err("a wrong cell");
+        error.to_string().replace(&format!("{}/", self.folder.path().display()), "")
+    }
+}
+
+#[test]
+fn a_right_cell_is_read_with_its_defaults() {
+    let bench = Bench::new();
+    let cell = bench.check(GOOD).expect("a right cell");
+    let period = Duration::from_millis(33);
+    assert_eq!(cell.rig.calibration, bench.folder.path().join("rig.yaml"));
+    assert_eq!(cell.recognition.parts, [bench.folder.path().join("rod.toml")]);
+    assert_eq!(cell.recognition.colour, ColourRange::Rgb { min: [100; 3], max: [255; 3] });
+    assert_eq!(cell.recognition.region_right_px[1], [630.0, 10.0]);
+    assert_eq!((cell.recognition.seed, cell.recognition.harmony.hms), (1, 20));
+    assert_eq!(cell.deadline(period), Duration::from_millis(60));
+    assert_eq!(cell.cameras.pair_window(period), Duration::from_millis(12));
+    assert_eq!((cell.realtime.grab_priority, cell.realtime.arm_priority), (31, 40));
+    let left = cell.cameras.left.expect("a left camera");
+    assert_eq!(left.device, PathBuf::from("/dev/v4l/by-path/left"));
+    assert_eq!(left.controls["auto_exposure"], ControlValue::Name("Manual Mode".to_owned()));
+    assert_eq!(left.controls["white_balance_automatic"], ControlValue::Boolean(false));
+}
+
+#[test]
+fn deadline_and_window_follow_the_frame_period_unless_set() {
+    let cell = Bench::new().check(&GOOD.replace("deadline_ms = 60", "").replace("pair_window_ms = 12.0", ""));
+    let cell = cell.expect("a right cell");
+    assert_eq!(cell.deadline(Duration::from_millis(40)), Duration::from_millis(80));
+    assert_eq!(cell.cameras.pair_window(Duration::from_millis(40)), Duration::from_millis(16));
+}
+
+#[test]
+fn keys_that_nobody_reads_are_errors() {
+    let bench = Bench::new();
+    assert_eq!(
+        bench.message("hmcr = 0.7", "hmrc = 0.7"),
+        "cell.toml, line 29: recognition.hmrc: there is no such key; allowed here: parts, colour, inverted, \
+         region_px, min_speck_px, thin, search, hms, hmcr, par, par_min, par_max, gate, seed, iterations, \
+         fitness_max, threads"
+    );
+    assert_eq!(
+        bench.message("width = 640", "breadth = 640"),
+        "cell.toml, line 9: cameras.left.breadth: there is no such key; allowed here: device, format, width, \
+         height, rate_hz, matrix, range, controls"
+    );
+    let message = bench.message("[deadline]", "[deadlines]");
+    assert!(message.starts_with("cell.toml, line 31: deadlines: there is no such key"), "{message}");
+    let message = bench.message("quaternion_xyzw", "rotation");
+    assert!(message.contains("rig.base_from_left.rotation: there is no such key"), "{message}");
+}
+
+#[test]
+fn values_out_of_range_name_key_value_and_what_is_allowed() {
+    let bench = Bench::new();
+    for (was, is, message) in [
+        (
+            "hmcr = 0.7",
+            "hmcr = 1.4",
+            "cell.toml, line 29: recognition.hmcr = 1.4 is not possible; allowed: a rate from 0 to 1, without unit",
+        ),
+        (
+            "hmcr = 0.7",
+            "hmcr = nan",
+            "cell.toml, line 29: recognition.hmcr = NaN is not possible; allowed: a rate from 0 to 1, without unit",
+        ),
+        (
+            "\"YUYV\"",
+            "\"YUY2\"",
+            "cell.toml, line 8: cameras.left.format = \"YUY2\" is not possible; allowed: \"YUYV\", \"MJPG\", \
+             \"GREY\", \"RGB3\", \"BGR3\", \"NV12\"",
+        ),
+        (
+            "width = 640",
+            "width = 0",
+            "cell.toml, line 9: cameras.left.width = 0 is not possible; allowed: an even number of pixels from 2 \
+             to 8192",
+        ),
+        (
+            "pair_window_ms = 12.0",
+            "pair_window_ms = 20.0",
+            "cell.toml, line 4: cameras.pair_window_ms = 20 is not possible; allowed: milliseconds above 0, at \
+             most half a frame period (16.67)",
+        ),
+        (
+            "by-path/right",
+            "by-path/left",
+            "cell.toml, line 15: cameras.right.device = \"/dev/v4l/by-path/left\" is not possible; allowed: \
+             another device than that of cameras.left",
+        ),
+        (
+            "[1.0, 0.0, 0.0, 0.0]",
+            "[1.0, 1.0, 0.0, 0.0]",
+            "cell.toml, line 23: rig.base_from_left.quaternion_xyzw = [1.0, 1.0, 0.0, 0.0] (length 1.4142) is not \
+             possible; allowed: a unit quaternion [x, y, z, w], length 1 to within 0.001",
+        ),
+        (
+            "deadline_ms = 60",
+            "deadline_ms = 0",
+            "cell.toml, line 32: deadline.deadline_ms = 0 is not possible; allowed: milliseconds from 1 to 60000",
+        ),
+        (
+            "grab_priority = 31",
+            "grab_priority = 99",
+            "cell.toml, line 41: realtime.grab_priority = 99 is not possible; allowed: 10 to 40 (interrupt threads \
+             have 50; above them the cameras would starve)",
+        ),
+        (
+            "column_step_mm = [20.0, 0.0, 0.0]",
+            "",
+            "cell.toml, line 34: place.column_step_mm = [0, 0, 0] is not possible; allowed: a step that is not \
+             zero, in mm",
+        ),
+    ] {
+        assert_eq!(bench.message(was, is), message);
+    }
+}
+
+#[test]
+fn an_empty_or_crooked_colour_range_is_refused() {
+    let bench = Bench::new();
+    let good = "{ min = [100, 100, 100], max = [255, 255, 255] }";
+    for bad in [
+        "{ min = [100, 100, 100], max = [255, 90, 255] }",
+        "{ min = [100, 100], max = [255, 90, 255] }",
+        "{ min = [100, 100, 100], max = [255, 255, 256] }",
+        "{ grey_min = 200, grey_max = 100 }",
+        "{ grey_min = 200 }",
+        "\"white\"",
+        "7",
+    ] {
+        let message = bench.message(good, bad);
+        assert!(message.starts_with("cell.toml, line 27: recognition.colour = "), "{message}");
+        assert!(message.contains("no minimum above its maximum"), "{message}");
+    }
+    let cell =
+        bench.check(&GOOD.replace(good, "{ grey_min = 100, grey_max = 100 }")).expect("one grey value");
+    assert_eq!(cell.recognition.colour, ColourRange::Grey { min: 100, max: 100 });
+}
+
+#[test]
+fn missing_keys_and_files_are_named() {
+    let bench = Bench::new();
+    assert_eq!(
+        bench.message("calibration = \"rig.yaml\"\n", ""),
+        "cell.toml, line 21: rig.calibration is missing; this key has no default"
+    );
+    assert_eq!(
+        bench.message("backend = \"v4l2\"", "backend = \"replay\""),
+        "cell.toml, line 2: cameras.session is missing; backend = \"replay\" needs the recorded session: an .mcap \
+         file or a folder with left/, right/ and session.toml"
+    );
+    assert_eq!(
+        bench.message("parts = [\"rod.toml\"]", "parts = [\"hook.toml\"]"),
+        "cell.toml, line 26: recognition.parts = \"hook.toml\": no such file or folder (hook.toml); paths start at \
+         the folder of cell.toml"
+    );
+    let error = Cell::read(&bench.folder.path().join("none.toml")).expect_err("no file");
+    assert!(error.to_string().contains("none.toml: cannot read it: "), "{error}");
+    assert!(error.to_string().ends_with("name the cell's file with --cell FILE"), "{error}");
+}
+
+#[test]
+fn wrong_kinds_and_broken_toml_name_their_line() {
+    let bench = Bench::new();
+    assert_eq!(
+        bench.message("width = 640", "width = \"wide\""),
+        "cell.toml, line 9: cameras.left.width: invalid type: string \"wide\", expected u32"
+    );
+    assert_eq!(
+        bench.message("hmcr = 0.7", "seed = -1"),
+        "cell.toml, line 29: recognition.seed: invalid value: integer `-1`, expected u64"
+    );
+    let message = bench.message("backend = \"v4l2\"", "backend = \"usb\"");
+    assert_eq!(
+        message,
+        "cell.toml, line 3: cameras.backend: unknown variant `usb`, expected `v4l2` or `replay`"
+    );
+    let message = bench.message("[rig]", "[rig");
+    assert!(message.starts_with("cell.toml, line 21: "), "{message}");
+}
+
+#[test]
+fn replay_needs_no_cameras() {
+    let bench = Bench::new();
+    std::fs::create_dir(bench.folder.path().join("conveyor")).expect("a folder");
+    let text = format!(
+        "[cameras]\nbackend = \"replay\"\nsession = \"conveyor\"\npace = \"fast\"\n{}",
+        &GOOD[GOOD.find("[rig]").expect("a rig")..]
+    );
+    let cell = bench.check(&text).expect("a right cell");
+    assert_eq!((cell.cameras.backend, cell.cameras.pace), (Backend::Replay, Pace::Fast));
+    assert_eq!(cell.cameras.session, Some(bench.folder.path().join("conveyor")));
+    assert!(cell.cameras.left.is_none());
+}
