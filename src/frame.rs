@@ -1,5 +1,10 @@
 //! One camera picture as the driver delivered it, and two of them that belong together.
 
+pub mod colour;
+mod luma;
+
+pub use luma::LumaView;
+
 use crate::time::Timestamp;
 
 /// How the bytes of a frame are to be read.
@@ -101,5 +106,102 @@ impl Frame {
     pub fn from_rgb(width: usize, height: usize, bytes: Vec<u8>) -> Self {
         assert_eq!(bytes.len(), 3 * width * height, "RGB bytes of a {width}x{height} picture");
         Frame { bytes, format: PixelFormat::Rgb, width, height, stride_bytes: 3 * width, ..Frame::default() }
+    }
+
+    /// Bytes that [`Frame::bytes`] must hold at least for this format, size and stride; 0 for MJPEG.
+    pub fn bytes_needed(&self) -> usize {
+        let row = match self.format {
+            PixelFormat::Rgb | PixelFormat::Bgr => 3 * self.width,
+            PixelFormat::Grey => self.width,
+            PixelFormat::Yuyv => 2 * self.width.next_multiple_of(2),
+            PixelFormat::Nv12 => self.width.next_multiple_of(2),
+            PixelFormat::Mjpeg => return 0,
+        };
+        let rows = match self.format {
+            PixelFormat::Nv12 => self.height + self.height.div_ceil(2),
+            _ => self.height,
+        };
+        if rows == 0 { 0 } else { (rows - 1).saturating_mul(self.stride_bytes).saturating_add(row) }
+    }
+
+    /// BT.601 luma of a pixel; coordinates beyond the picture take its border. 0 for MJPEG and for an empty or
+    /// short picture. For many pixels make a [`LumaView`] once.
+    #[inline]
+    pub fn luma(&self, x: usize, y: usize) -> u8 {
+        LumaView::new(self).map_or(0, |view| view.at(x, y))
+    }
+
+    /// R, G, B of a pixel; coordinates beyond the picture take its border. Zeros for MJPEG and for an empty or
+    /// short picture.
+    pub fn rgb(&self, x: usize, y: usize) -> [u8; 3] {
+        if self.width == 0 || self.height == 0 || self.bytes.len() < self.bytes_needed() {
+            return [0; 3];
+        }
+        let (x, y) = (x.min(self.width - 1), y.min(self.height - 1));
+        let row = &self.bytes[y * self.stride_bytes..];
+        let ycbcr = || colour::Ycbcr::new(self.encoding);
+        match self.format {
+            PixelFormat::Rgb => [row[3 * x], row[3 * x + 1], row[3 * x + 2]],
+            PixelFormat::Bgr => [row[3 * x + 2], row[3 * x + 1], row[3 * x]],
+            PixelFormat::Grey => [row[x]; 3],
+            PixelFormat::Yuyv => {
+                let pair = x & !1;
+                ycbcr().rgb(row[2 * x], row[2 * pair + 1], row[2 * pair + 3])
+            }
+            PixelFormat::Nv12 => {
+                let chroma = &self.bytes[(self.height + y / 2) * self.stride_bytes + (x & !1)..];
+                ycbcr().rgb(row[x], chroma[0], chroma[1])
+            }
+            PixelFormat::Mjpeg => [0; 3],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pixels_of_every_format_are_read_where_they_lie() {
+        let grey = |format, stride_bytes, bytes: &[u8]| Frame {
+            bytes: bytes.to_vec(),
+            format,
+            width: 2,
+            height: 2,
+            stride_bytes,
+            encoding: ColourEncoding { range: QuantizationRange::Full, ..Default::default() },
+            ..Frame::default()
+        };
+        let frames = [
+            grey(PixelFormat::Rgb, 7, &[1, 1, 1, 2, 2, 2, 0, 3, 3, 3, 4, 4, 4]),
+            grey(PixelFormat::Bgr, 6, &[1, 1, 1, 2, 2, 2, 3, 3, 3, 4, 4, 4]),
+            grey(PixelFormat::Grey, 2, &[1, 2, 3, 4]),
+            grey(PixelFormat::Yuyv, 5, &[1, 128, 2, 128, 0, 3, 128, 4, 128]),
+            grey(PixelFormat::Nv12, 3, &[1, 2, 0, 3, 4, 0, 128, 128]),
+        ];
+        for f in &frames {
+            assert_eq!(f.bytes.len(), f.bytes_needed(), "{:?}", f.format);
+            for (i, (x, y)) in [(0, 0), (1, 0), (0, 1), (1, 1)].into_iter().enumerate() {
+                assert_eq!(f.rgb(x, y), [i as u8 + 1; 3], "{:?}", f.format);
+                assert_eq!(f.luma(x, y), i as u8 + 1, "{:?}", f.format);
+            }
+            assert_eq!(f.luma(9, 9), 4, "the border goes on");
+            let view = LumaView::new(f).expect("a whole picture");
+            assert_eq!(
+                (view.sample(0.5, 0.5), view.sample(-3.0, 0.25), view.sample(0.0, f32::NAN)),
+                (2.5, 1.5, 1.0)
+            );
+        }
+    }
+
+    #[test]
+    fn short_and_compressed_pictures_have_no_pixels() {
+        let short = Frame { bytes: vec![9; 11], ..Frame::from_rgb(2, 2, vec![9; 12]) };
+        assert!(LumaView::new(&short).is_none());
+        assert_eq!((short.luma(0, 0), short.rgb(0, 0)), (0, [0; 3]));
+        let mjpeg =
+            Frame { bytes: vec![9; 99], format: PixelFormat::Mjpeg, width: 2, height: 2, ..Frame::default() };
+        assert!(LumaView::new(&mjpeg).is_none());
+        assert!(LumaView::new(&Frame::default()).is_none());
     }
 }

@@ -3,5 +3,6 @@
 
 pub mod binarize;
 pub mod bits;
+pub mod decode;
 pub mod graph;
 pub mod thin;

@@ -1,0 +1,109 @@
+//! Reading the luma of single pixels and between pixels, with format and stride looked up once.
+
+use super::{ColourEncoding, Frame, PixelFormat, colour};
+
+/// The luma of one frame, for measuring edges: format, stride and colour conversion are looked up once, so that
+/// a sample between four pixels takes a few nanoseconds.
+#[derive(Clone, Copy)]
+pub struct LumaView<'a> {
+    bytes: &'a [u8],
+    width: usize,
+    height: usize,
+    stride: usize,
+    reading: Reading,
+}
+
+#[derive(Clone, Copy)]
+enum Reading {
+    /// Red, green, blue or the reverse, by the weights in the order of the bytes.
+    Weighted([i32; 3]),
+    /// Every `step` bytes a luma value of full range.
+    Plain { step: usize },
+    /// Every `step` bytes a Y value that a table turns to luma.
+    Table { step: usize, ycbcr: colour::Ycbcr },
+    /// Luma that needs chroma as well: YUYV where `interleaved`, else NV12.
+    Ycbcr { interleaved: bool, ycbcr: colour::Ycbcr },
+}
+
+impl<'a> LumaView<'a> {
+    /// A view of this frame; `None` for MJPEG and for an empty or short picture.
+    pub fn new(frame: &'a Frame) -> Option<Self> {
+        Self::with_encoding(frame, frame.encoding)
+    }
+
+    /// A view that reads YUYV and NV12 by this encoding whatever the frame says.
+    pub fn with_encoding(frame: &'a Frame, encoding: ColourEncoding) -> Option<Self> {
+        let (w, h) = (frame.width, frame.height);
+        if w == 0 || h == 0 || frame.format == PixelFormat::Mjpeg || frame.bytes.len() < frame.bytes_needed()
+        {
+            return None;
+        }
+        let [r, g, b] = colour::LUMA_WEIGHTS;
+        let ycbcr = colour::Ycbcr::new(encoding);
+        let reading = match frame.format {
+            PixelFormat::Rgb => Reading::Weighted([r, g, b]),
+            PixelFormat::Bgr => Reading::Weighted([b, g, r]),
+            PixelFormat::Grey => Reading::Plain { step: 1 },
+            _ => {
+                let interleaved = frame.format == PixelFormat::Yuyv;
+                let step = if interleaved { 2 } else { 1 };
+                if ycbcr.l_u != 0 || ycbcr.l_v != 0 {
+                    Reading::Ycbcr { interleaved, ycbcr }
+                } else if ycbcr.y_offset == 0 {
+                    Reading::Plain { step }
+                } else {
+                    Reading::Table { step, ycbcr }
+                }
+            }
+        };
+        Some(Self { bytes: &frame.bytes, width: w, height: h, stride: frame.stride_bytes, reading })
+    }
+
+    /// Picture width in pixels.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Picture height in pixels.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// Luma of a pixel; coordinates beyond the picture take its border.
+    #[inline]
+    pub fn at(&self, x: usize, y: usize) -> u8 {
+        let (x, y) = (x.min(self.width - 1), y.min(self.height - 1));
+        let row = y * self.stride;
+        match self.reading {
+            Reading::Weighted(w) => {
+                let p = &self.bytes[row + 3 * x..row + 3 * x + 3];
+                let sum = i32::from(p[0]) * w[0] + i32::from(p[1]) * w[1] + i32::from(p[2]) * w[2];
+                ((sum + (1 << (colour::LUMA_SHIFT - 1))) >> colour::LUMA_SHIFT) as u8
+            }
+            Reading::Plain { step } => self.bytes[row + step * x],
+            Reading::Table { step, ycbcr } => ycbcr.luma(self.bytes[row + step * x], 128, 128),
+            Reading::Ycbcr { interleaved: true, ycbcr } => {
+                let chroma = row + 2 * (x & !1);
+                ycbcr.luma(self.bytes[row + 2 * x], self.bytes[chroma + 1], self.bytes[chroma + 3])
+            }
+            Reading::Ycbcr { interleaved: false, ycbcr } => {
+                let chroma = (self.height + y / 2) * self.stride + (x & !1);
+                ycbcr.luma(self.bytes[row + x], self.bytes[chroma], self.bytes[chroma + 1])
+            }
+        }
+    }
+
+    /// Luma between the four nearest pixels, bilinear; pixel centres are at whole numbers. Beyond the picture
+    /// its border goes on; a NaN coordinate counts as 0.
+    #[inline]
+    pub fn sample(&self, x: f32, y: f32) -> f32 {
+        let x = x.max(0.0).min((self.width - 1) as f32);
+        let y = y.max(0.0).min((self.height - 1) as f32);
+        let (x0, y0) = (x as usize, y as usize);
+        let (fx, fy) = (x - x0 as f32, y - y0 as f32);
+        let at = |dx, dy| f32::from(self.at(x0 + dx, y0 + dy));
+        let upper = at(0, 0) + fx * (at(1, 0) - at(0, 0));
+        let lower = at(0, 1) + fx * (at(1, 1) - at(0, 1));
+        upper + fy * (lower - upper)
+    }
+}
