@@ -1,1 +1,272 @@
-//! Placeholder of the room.
+//! Skeleton to graph (paper IV-C): end points and junctions as nodes, the pixel chains between them as edges.
+//!
+//! Takes a skeleton, the mask it came from and, where there is one, the picture; gives a [`Graph`]; owns the work
+//! lists. In order:
+//!
+//! 1. [`pixels`]: every skeleton pixel is told by its number of branches: one is an end, three or more a junction.
+//!    Two pixels that touch by a corner belong together only where no side neighbour joins them already, so the
+//!    corners of a staircase are no junctions. Junction pixels that touch are one node, at their centroid.
+//! 2. [`trace`]: chains between nodes, and closed loops.
+//! 3. [`prune`]: spurs shorter than the part is thick go; a junction left with two edges dissolves.
+//! 4. [`section`] and [`ends`]: local thickness, and ends put back to where the part ends.
+//!
+//! Positions are in distorted pixels, pixel centres at whole numbers.
+
+pub mod ends;
+pub mod pixels;
+pub mod prune;
+pub mod section;
+pub mod trace;
+
+use crate::frame::Frame;
+use crate::vision::bits::BitImage;
+use std::ops::Range;
+
+/// In [`Edge::nodes`]: a closed loop has no nodes.
+pub const NONE: u32 = u32::MAX;
+
+/// What a node is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NodeKind {
+    /// The end of a line.
+    End,
+    /// A point where three or more lines meet.
+    Junction,
+}
+
+/// A point of the picture where lines end or meet.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Node {
+    /// What it is.
+    pub kind: NodeKind,
+    /// Distorted pixel. Junction: centroid of its cluster. End: put back to where the part ends, to sub-pixel.
+    pub position_px: [f32; 2],
+    /// The same before the end was put back: the last pixel of the skeleton.
+    pub skeleton_px: [f32; 2],
+    /// Number of edges that end here; a loop from a node to itself counts twice.
+    pub degree: u8,
+    /// Half the thickness of the part here: the largest of the edges that end here, in pixels.
+    pub half_thickness_px: f32,
+    /// Whether the part was seen to end here. `false` where it goes on under a neighbour or leaves the picture, and
+    /// for junctions.
+    pub end_visible: bool,
+}
+
+/// A chain of skeleton pixels between two nodes, or a closed loop.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Edge {
+    /// Indices into [`Graph::nodes`], both [`NONE`] for a closed loop without nodes.
+    pub nodes: [u32; 2],
+    /// Range of [`Graph::points`], in order from `nodes[0]` to `nodes[1]`; neighbours in it touch except where a
+    /// junction was dissolved.
+    pub points: Range<u32>,
+    /// Length from node to node along the chain, ends put back, in pixels.
+    pub length_px: f32,
+    /// Half the thickness of the part: median of sections across it, in pixels.
+    pub half_thickness_px: f32,
+    /// Whether this is a closed loop without nodes.
+    pub closed: bool,
+    /// See [`Edge::is_crossing_bridge`].
+    crossing_bridge: bool,
+}
+
+impl Edge {
+    /// Whether this edge joins two junctions that come from one X-crossing: thinning splits a crossing into two
+    /// T's with a short edge between, shorter than one and a half thicknesses of the lines that meet there.
+    pub fn is_crossing_bridge(&self) -> bool {
+        self.crossing_bridge
+    }
+}
+
+/// Nodes and edges of one picture.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Graph {
+    /// End points and junctions.
+    pub nodes: Vec<Node>,
+    /// Chains between them.
+    pub edges: Vec<Edge>,
+    /// Skeleton pixels (x, y) of all edges.
+    pub points: Vec<[u16; 2]>,
+}
+
+impl Graph {
+    /// Empties it and keeps its memory.
+    pub fn clear(&mut self) {
+        self.nodes.clear();
+        self.edges.clear();
+        self.points.clear();
+    }
+
+    /// The pixels of an edge, in order from its first node to its second.
+    pub fn edge_points(&self, edge: &Edge) -> &[[u16; 2]] {
+        &self.points[edge.points.start as usize..edge.points.end as usize]
+    }
+}
+
+/// Why a picture gives no graph. The picture shows too much: the colour range, the light or the region is wrong.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
+pub enum Refusal {
+    /// More end points and junctions than the limit.
+    #[error("the picture has more than {nodes_max} end points and junctions: narrow the colour range or the region")]
+    TooManyNodes {
+        /// The limit.
+        nodes_max: u32,
+    },
+    /// More edges than the limit.
+    #[error("the picture has more than {edges_max} lines: narrow the colour range or the region")]
+    TooManyEdges {
+        /// The limit.
+        edges_max: u32,
+    },
+    /// More skeleton pixels than the limit.
+    #[error("the picture has more than {points_max} skeleton pixels: narrow the colour range or the region")]
+    TooManyPoints {
+        /// The limit.
+        points_max: u32,
+    },
+}
+
+/// Parameters of the graph: its limits, which are its memory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Params {
+    /// Most end points and junctions before spurs are cut; 2048 at 640x480.
+    pub nodes_max: u32,
+    /// Most edges before spurs are cut; 4096 at 640x480.
+    pub edges_max: u32,
+    /// Most skeleton pixels; 32768 at 640x480.
+    pub points_max: u32,
+}
+
+impl Params {
+    /// The default limits for a picture size: those of 640x480, scaled with the area where that is larger.
+    pub fn for_size(width: usize, height: usize) -> Self {
+        let scale = (width * height).div_ceil(640 * 480).max(1) as u32;
+        Self { nodes_max: 2048 * scale, edges_max: 4096 * scale, points_max: 32768 * scale }
+    }
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Self::for_size(640, 480)
+    }
+}
+
+/// Workspace of the graph for one picture size; owns all its memory.
+///
+/// ```
+/// use pickcell::vision::{bits::BitImage, graph::{Graph, Graphs, NodeKind, Params}};
+/// let skeleton = BitImage::from_text("
+///     ..........
+///     .########.
+///     ....#.....
+///     ....#.....
+///     ....#.....
+///     ....#.....
+///     ..........");
+/// let mut graph = Graph::default();
+/// let mut graphs = Graphs::new(Params::default(), 10, 7);
+/// graphs.run(&skeleton, &skeleton, None, &mut graph).unwrap();
+/// assert_eq!(graph.nodes.iter().filter(|n| n.kind == NodeKind::End).count(), 3);
+/// assert_eq!(graph.nodes.iter().filter(|n| n.kind == NodeKind::Junction).count(), 1);
+/// assert_eq!(graph.edges.len(), 3);
+/// ```
+#[derive(Clone, Debug)]
+pub struct Graphs {
+    params: Params,
+    width: usize,
+    height: usize,
+    pixels: pixels::Pixels,
+    traced: trace::Traced,
+    pruned: prune::Pruned,
+}
+
+impl Graphs {
+    /// A workspace for pictures of `width` x `height` pixels.
+    ///
+    /// # Panics
+    /// Where a side is longer than 65535 pixels.
+    pub fn new(params: Params, width: usize, height: usize) -> Self {
+        assert!(width <= u16::MAX as usize && height <= u16::MAX as usize, "{width}x{height} picture");
+        Self {
+            params,
+            width,
+            height,
+            pixels: pixels::Pixels::new(&params, width, height),
+            traced: trace::Traced::new(&params, width, height),
+            pruned: prune::Pruned::new(&params),
+        }
+    }
+
+    /// The graph of `skeleton`. `mask` is the picture it was thinned from; `frame` is the camera's picture, for the
+    /// grey values at the ends: without it, or with a format that is still compressed, ends lie at the mask's border.
+    ///
+    /// # Errors
+    /// Where the picture goes over a limit of [`Params`]; `graph` is empty then.
+    ///
+    /// # Panics
+    /// Where a picture has not the size given to [`Graphs::new`].
+    pub fn run(
+        &mut self,
+        skeleton: &BitImage,
+        mask: &BitImage,
+        frame: Option<&Frame>,
+        graph: &mut Graph,
+    ) -> Result<(), Refusal> {
+        for picture in [skeleton, mask] {
+            assert_eq!((picture.width(), picture.height()), (self.width, self.height), "size of the picture");
+        }
+        graph.clear();
+        self.pixels.run(skeleton)?;
+        self.traced.run(&self.params, skeleton, &self.pixels)?;
+        self.pruned.run(mask, &self.pixels, &self.traced);
+        self.pruned.write(&self.pixels, &self.traced, graph);
+        section::measure(mask, graph);
+        ends::put_back(mask, frame, graph);
+        finish(graph);
+        Ok(())
+    }
+}
+
+/// Lengths with the ends put back, and the bridges of crossings.
+fn finish(graph: &mut Graph) {
+    let Graph { nodes, edges, points } = graph;
+    for edge in edges.iter_mut() {
+        let chain = &points[edge.points.start as usize..edge.points.end as usize];
+        let terminal = |n: u32| nodes.get(n as usize).map(|n: &Node| n.position_px);
+        edge.length_px = length(chain, terminal(edge.nodes[0]), terminal(edge.nodes[1]), edge.closed);
+    }
+    for i in 0..edges.len() {
+        let [a, b] = edges[i].nodes;
+        let junction = |n: u32| nodes.get(n as usize).is_some_and(|n| n.kind == NodeKind::Junction);
+        if a != b && junction(a) && junction(b) {
+            let half = nodes[a as usize].half_thickness_px.max(nodes[b as usize].half_thickness_px);
+            edges[i].crossing_bridge = edges[i].length_px < 1.5 * 2.0 * half;
+        }
+    }
+}
+
+/// Length of a chain through every eighth pixel: steps of single pixels would count a slanted line too long.
+fn length(chain: &[[u16; 2]], first: Option<[f32; 2]>, last: Option<[f32; 2]>, closed: bool) -> f32 {
+    const STEP: usize = 8;
+    let at = |p: &[u16; 2]| [p[0] as f32, p[1] as f32];
+    let Some(mut before) = first.or_else(|| chain.first().map(at)) else { return 0.0 };
+    let begin = before;
+    let mut sum = 0.0;
+    let mut go = |to: [f32; 2]| {
+        sum += (to[0] - before[0]).hypot(to[1] - before[1]);
+        before = to;
+    };
+    if chain.len() > STEP {
+        chain[STEP / 2..chain.len() - STEP / 2].iter().step_by(STEP).map(at).for_each(&mut go);
+    }
+    if let Some(to) = last.or_else(|| chain.last().map(at)) {
+        go(to);
+    }
+    if closed {
+        go(begin);
+    }
+    sum
+}
+
+#[cfg(test)]
+mod tests;
