@@ -17,9 +17,8 @@ const CONTRAST_MIN: f32 = 12.0;
 
 /// Puts all ends back.
 pub(super) fn put_back(mask: &BitImage, frame: Option<&Frame>, graph: &mut Graph) {
-    let frame = frame.filter(|f| {
-        f.format != PixelFormat::Mjpeg && (f.width, f.height) == (mask.width(), mask.height())
-    });
+    let frame = frame
+        .filter(|f| f.format != PixelFormat::Mjpeg && (f.width, f.height) == (mask.width(), mask.height()));
     for e in 0..graph.edges.len() {
         for end in 0..2 {
             let n = graph.edges[e].nodes[end] as usize;
@@ -41,10 +40,8 @@ fn put_back_one(mask: &BitImage, frame: Option<&Frame>, graph: &mut Graph, e: us
     let (mut sum, mut seen) = (0.0, 0);
     let reach = 1.6 * half + 3.0;
     for offset in [-RAY_OFFSET, 0.0, RAY_OFFSET] {
-        let from = [
-            tip_on_line[0] - offset * half * direction[1],
-            tip_on_line[1] + offset * half * direction[0],
-        ];
+        let from =
+            [tip_on_line[0] - offset * half * direction[1], tip_on_line[1] + offset * half * direction[0]];
         let Some(border) = border_in_mask(mask, from, direction, reach) else { continue };
         sum += frame.map_or(border, |f| border_in_grey(f, from, direction, border, half));
         seen += 1;
@@ -52,8 +49,7 @@ fn put_back_one(mask: &BitImage, frame: Option<&Frame>, graph: &mut Graph, e: us
     let node = &mut graph.nodes[n];
     node.end_visible = seen >= 2;
     let distance = if node.end_visible { sum / seen as f32 } else { half };
-    node.position_px =
-        [tip_on_line[0] + distance * direction[0], tip_on_line[1] + distance * direction[1]];
+    node.position_px = [tip_on_line[0] + distance * direction[0], tip_on_line[1] + distance * direction[1]];
 }
 
 /// A point on the line's end and the direction outwards, from the pixels half a thickness to two and a half
@@ -100,9 +96,8 @@ fn border_in_mask(mask: &BitImage, from: [f32; 2], direction: [f32; 2], reach_px
 
 /// The mask's border refined: where grey values cross half way between the part and what lies behind its end.
 fn border_in_grey(frame: &Frame, from: [f32; 2], direction: [f32; 2], border: f32, half: f32) -> f32 {
-    let at = |distance: f32| {
-        grey_at(frame, from[0] + distance * direction[0], from[1] + distance * direction[1])
-    };
+    let at =
+        |distance: f32| grey_at(frame, from[0] + distance * direction[0], from[1] + distance * direction[1]);
     let depth = half.clamp(2.0, 4.0);
     let (Some(inside), Some(outside)) = (
         mean_of([at(border - depth), at(border - depth - 0.5), at(border - depth - 1.0)]),

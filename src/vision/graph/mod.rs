@@ -107,7 +107,9 @@ impl Graph {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
 pub enum Refusal {
     /// More end points and junctions than the limit.
-    #[error("the picture has more than {nodes_max} end points and junctions: narrow the colour range or the region")]
+    #[error(
+        "the picture has more than {nodes_max} end points and junctions: narrow the colour range or the region"
+    )]
     TooManyNodes {
         /// The limit.
         nodes_max: u32,

@@ -152,8 +152,7 @@ impl Pixels {
         if let Some(node) = self.nodes.last_mut() {
             node.members[1] = end;
             let pixels = &self.members[node.members[0] as usize..];
-            let (x, y) =
-                pixels.iter().fold((0u64, 0u64), |(x, y), p| (x + p[0] as u64, y + p[1] as u64));
+            let (x, y) = pixels.iter().fold((0u64, 0u64), |(x, y), p| (x + p[0] as u64, y + p[1] as u64));
             let n = pixels.len() as f32;
             node.centroid_px = [x as f32 / n, y as f32 / n];
         }

@@ -222,7 +222,8 @@ impl Pruned {
             return;
         }
         let begin = self.pieces.len() as u32;
-        let mut joined = Joined { nodes: [n; 2], pieces: [begin; 2], length_px: 0.0, thickness_px: 0.0, alive: true };
+        let mut joined =
+            Joined { nodes: [n; 2], pieces: [begin; 2], length_px: 0.0, thickness_px: 0.0, alive: true };
         let (mut slot, mut longest) = (slot, -1.0);
         loop {
             let (i, backward) = (slot as usize / 2, slot % 2 == 1);

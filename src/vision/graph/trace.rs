@@ -101,12 +101,7 @@ impl Traced {
     }
 
     /// Walks around a loop without nodes. A pixel without neighbours is none.
-    fn closed_loop(
-        &mut self,
-        params: &Params,
-        skeleton: &BitImage,
-        from: [u16; 2],
-    ) -> Result<(), Refusal> {
+    fn closed_loop(&mut self, params: &Params, skeleton: &BitImage, from: [u16; 2]) -> Result<(), Refusal> {
         self.left.set(from[0] as usize, from[1] as usize, false);
         let onward = branches(skeleton, from[0] as i32, from[1] as i32);
         if onward == 0 {

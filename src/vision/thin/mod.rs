@@ -67,7 +67,11 @@ impl Thin {
     /// # Panics
     /// Where a picture has not the size given to [`Thin::new`].
     pub fn run(&mut self, mask: &BitImage, skeleton: &mut BitImage) {
-        assert_eq!((mask.width(), mask.height()), (self.before.width(), self.before.height()), "size of the mask");
+        assert_eq!(
+            (mask.width(), mask.height()),
+            (self.before.width(), self.before.height()),
+            "size of the mask"
+        );
         skeleton.copy_from(mask);
         loop {
             let mut changed = false;
