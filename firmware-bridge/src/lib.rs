@@ -1,1 +1,24 @@
-//! The arm's side of a PickCell.
+//! The arm's side of a PickCell: everything between a chosen grasp and the bytes on an arm's wire.
+//!
+//! | module | owns | |
+//! |---|---|---|
+//! | [`message`] | what the cell and an arm say to each other, whatever carries it | `no_std`, pure |
+//! | [`config`] | `[arm]`, `[workspace]`, `[gripper]` of cell.toml | cold |
+//! | [`gate`] | the last check before a target is encoded | hot, pure |
+//! | [`dialect`] | one state machine an arm's language: messages in, bytes out, and back | hot, pure |
+//! | [`simulate`] | the firmware's end of each language, with faults on demand | pure |
+//!
+//! Nothing here knows the driver. Pure modules get time (nanoseconds of `CLOCK_MONOTONIC`) and randomness as
+//! arguments, and allocate nothing after `new`. Without the feature `std` only what a firmware needs is left.
+#![cfg_attr(not(feature = "std"), no_std)]
+
+pub mod message;
+
+#[cfg(feature = "std")]
+pub mod config;
+#[cfg(feature = "std")]
+pub mod dialect;
+#[cfg(feature = "std")]
+pub mod gate;
+#[cfg(feature = "std")]
+pub mod simulate;

@@ -1,0 +1,3 @@
+//! `firmware-bridge`: the arm's side as a process of its own.
+
+fn main() {}
