@@ -6,6 +6,8 @@
 //! ```
 
 pub mod config;
+pub mod files;
 pub mod frame;
+pub mod rig;
 pub mod time;
 pub mod vision;

@@ -1,0 +1,353 @@
+//! Calibration files: OpenCV FileStorage YAML and pairs of ROS camera_info to a [`Rig`], and back.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+
+use super::yaml::{self, Entry, Matrix, Value};
+use super::{CameraModel, Rig, RigError};
+
+/// RᵀR may differ from 1 by this: a rotation typed with four digits passes (1.7e-4), a scaled or sheared one not.
+const ROTATION_TOLERANCE: f64 = 2e-4;
+/// Shorter baselines are taken for metres in place of millimetres.
+const BASELINE_MIN_MM: f64 = 1.0;
+/// Sides of a picture beyond this are refused.
+const SIDE_MAX_PX: usize = 65_536;
+
+impl Rig {
+    /// Reads a calibration: an OpenCV FileStorage YAML file with `image_width image_height M1 D1 M2 D2 R T` (T in
+    /// mm; other keys are ignored), or a pair of ROS camera_info files (either file, or their folder). 0, 4, 5, 8,
+    /// 12 or 14 distortion coefficients.
+    ///
+    /// The ROS files hold no R and T; they follow from the rectification: `R = R2ᵀ R1`, `T = R2ᵀ t` with
+    /// `t = P2[0,3] / P2[0,0]` metres along x.
+    ///
+    /// # Errors
+    /// [`RigError`]: names file, key, value and remedy.
+    pub fn read(path: impl AsRef<Path>) -> Result<Rig, RigError> {
+        let path = path.as_ref();
+        if path.is_dir() {
+            return Self::read_folder(path);
+        }
+        let file = File::read(path)?;
+        if file.has("M1") || !(file.has("camera_matrix") || file.has("K") || file.has("k")) {
+            return file.opencv();
+        }
+        let (left, right) = pair_of(path)?;
+        ros(&File::read(&left)?, &File::read(&right)?)
+    }
+
+    fn read_folder(folder: &Path) -> Result<Rig, RigError> {
+        for ending in ["_camera_info.yaml", "_camera_info.yml", ".yaml", ".yml"] {
+            let (left, right) = (folder.join(format!("left{ending}")), folder.join(format!("right{ending}")));
+            match (left.is_file(), right.is_file()) {
+                (true, true) => return ros(&File::read(&left)?, &File::read(&right)?),
+                (false, false) => {}
+                (has_left, _) => {
+                    let wanted = if has_left { "right" } else { "left" };
+                    return Err(RigError::Pair { path: folder.to_owned(), wanted });
+                }
+            }
+        }
+        let opencv = folder.join("calibration.yaml");
+        if opencv.is_file() {
+            return File::read(&opencv)?.opencv();
+        }
+        Err(RigError::Pair { path: folder.to_owned(), wanted: "left" })
+    }
+
+    /// Writes the rig as OpenCV FileStorage YAML, whole or not at all. [`Rig::read`] gives the same numbers back, R
+    /// to rounding.
+    ///
+    /// # Errors
+    /// [`RigError::TwoSizes`] where the cameras' sizes differ, [`RigError::Write`] where the disk refuses.
+    pub fn write(&self, path: impl AsRef<Path>) -> Result<(), RigError> {
+        let path = path.as_ref();
+        let (left, right) = ((self.left.width, self.left.height), (self.right.width, self.right.height));
+        if left != right {
+            return Err(RigError::TwoSizes { path: path.to_owned(), left, right });
+        }
+        crate::files::write_atomically(path, self.to_opencv_yaml().as_bytes())
+            .map_err(|source| RigError::Write { path: path.to_owned(), source })
+    }
+
+    fn to_opencv_yaml(self) -> String {
+        let mut text =
+            format!("%YAML:1.0\n---\nimage_width: {}\nimage_height: {}\n", self.left.width, self.left.height);
+        for (index, camera) in [(1, &self.left), (2, &self.right)] {
+            let m = Matrix3::new(camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0);
+            put_matrix(&mut text, &format!("M{index}"), 3, 3, m.transpose().as_slice());
+            let used = camera.distortion.iter().rposition(|&d| d != 0.0).map_or(0, |last| last + 1);
+            let count = [5, 8, 12, 14].into_iter().find(|&n| n >= used).unwrap_or(14);
+            put_matrix(&mut text, &format!("D{index}"), 1, count, &camera.distortion[..count]);
+        }
+        let rotation = self.right_from_left.rotation.to_rotation_matrix().into_inner();
+        put_matrix(&mut text, "R", 3, 3, rotation.transpose().as_slice());
+        put_matrix(&mut text, "T", 3, 1, self.right_from_left.translation.vector.as_slice());
+        text
+    }
+}
+
+fn put_matrix(text: &mut String, key: &str, rows: usize, columns: usize, row_by_row: &[f64]) {
+    let list: Vec<String> = row_by_row.iter().map(|v| format!("{v:?}")).collect();
+    // writing to a String cannot fail
+    let _ = writeln!(
+        text,
+        "{key}: !!opencv-matrix\n   rows: {rows}\n   cols: {columns}\n   dt: d\n   data: [ {} ]",
+        list.join(", ")
+    );
+}
+
+/// The two files of a ROS pair of which one is given: the name's last `left` or `right` is exchanged.
+fn pair_of(path: &Path) -> Result<(PathBuf, PathBuf), RigError> {
+    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let (from, to) = match (name.rfind("left"), name.rfind("right")) {
+        (Some(l), Some(r)) if l > r => ("left", "right"),
+        (Some(_), None) => ("left", "right"),
+        (_, Some(_)) => ("right", "left"),
+        (None, None) => return Err(RigError::Pair { path: path.to_owned(), wanted: "other" }),
+    };
+    let at = name.rfind(from).unwrap_or(0);
+    let other = path.with_file_name(format!("{}{to}{}", &name[..at], &name[at + from.len()..]));
+    if !other.is_file() {
+        return Err(RigError::Pair { path: path.to_owned(), wanted: to });
+    }
+    Ok(if from == "left" { (path.to_owned(), other) } else { (other, path.to_owned()) })
+}
+
+fn ros(left: &File, right: &File) -> Result<Rig, RigError> {
+    let (left_camera, left_rotation, left_shift_mm) = left.ros_camera()?;
+    let (right_camera, right_rotation, right_shift_mm) = right.ros_camera()?;
+    let shift_mm = right_shift_mm - left_shift_mm;
+    let rotation = right_rotation.inverse() * left_rotation;
+    let translation = right_rotation.inverse() * shift_mm;
+    right.check_baseline(
+        &translation,
+        "projection_matrix",
+        "P[0,3] is -f * baseline in metres, and 0 for the left camera",
+    )?;
+    Ok(Rig {
+        left: left_camera,
+        right: right_camera,
+        right_from_left: Isometry3::from_parts(Translation3::from(translation), rotation),
+    })
+}
+
+/// One calibration file, its keys and its name for messages.
+struct File {
+    path: PathBuf,
+    entries: Vec<Entry>,
+}
+
+impl File {
+    fn read(path: &Path) -> Result<Self, RigError> {
+        let failed = |source| RigError::Read { path: path.to_owned(), source };
+        let bytes = std::fs::read(path).map_err(failed)?;
+        let text = String::from_utf8_lossy(&bytes);
+        let entries = yaml::parse(&text).map_err(|e| syntax(path, &e))?;
+        if entries.is_empty() {
+            let empty = yaml::SyntaxError { line: 1, problem: "no key in it".into() };
+            return Err(syntax(path, &empty));
+        }
+        Ok(Self { path: path.to_owned(), entries })
+    }
+
+    fn has(&self, key: &str) -> bool {
+        self.entries.iter().any(|(k, _)| k == key)
+    }
+
+    fn opencv(&self) -> Result<Rig, RigError> {
+        let left = self.camera("M1", "D1")?;
+        let right = self.camera("M2", "D2")?;
+        let rotation = self.rotation("R")?;
+        let t =
+            self.matrix("T", "three numbers, the left camera's origin in the right camera's frame in mm")?;
+        if !matches!((t.rows, t.columns), (3, 1) | (1, 3)) {
+            return Err(self.shape("T", t, "3 rows and 1 column"));
+        }
+        let translation = Vector3::from_column_slice(&t.data);
+        self.check_baseline(
+            &translation,
+            "T",
+            "T is in millimetres: where the file has metres, multiply it by 1000",
+        )?;
+        Ok(Rig {
+            left,
+            right,
+            right_from_left: Isometry3::from_parts(Translation3::from(translation), rotation),
+        })
+    }
+
+    /// Camera, rectifying rotation, and the shift of the rectified frame in mm.
+    fn ros_camera(&self) -> Result<(CameraModel, UnitQuaternion<f64>, Vector3<f64>), RigError> {
+        let key = |names: [&'static str; 3]| names.into_iter().find(|n| self.has(n)).unwrap_or(names[0]);
+        if let Some(model) = self.scalar("distortion_model")?
+            && !["plumb_bob", "rational_polynomial", ""].contains(&model)
+        {
+            let problem = "only plumb_bob and rational_polynomial are known; calibrate with one of them";
+            return Err(self.value("distortion_model", model, problem));
+        }
+        let camera =
+            self.camera(key(["camera_matrix", "K", "k"]), key(["distortion_coefficients", "D", "d"]))?;
+        let rotation = self.rotation(key(["rectification_matrix", "R", "r"]))?;
+        let name = key(["projection_matrix", "P", "p"]);
+        let p = self.matrix(name, "the 3x4 projection matrix of the rectified camera")?;
+        if p.data.len() != 12 || !matches!(p.rows, 1 | 3) {
+            return Err(self.shape(name, p, "3 rows and 4 columns"));
+        }
+        if !(p.data[0] > 0.0 && p.data[5] > 0.0) {
+            let focal = format!("focal lengths {} and {}", p.data[0], p.data[5]);
+            return Err(self.value(
+                name,
+                &focal,
+                "they must be above 0; calibrate the pair as a stereo pair",
+            ));
+        }
+        let shift_mm = Vector3::new(p.data[3] / p.data[0], p.data[7] / p.data[5], 0.0) * 1000.0;
+        Ok((camera, rotation, shift_mm))
+    }
+
+    fn camera(&self, matrix: &str, coefficients: &str) -> Result<CameraModel, RigError> {
+        let (width, height) = (self.side("image_width", "width")?, self.side("image_height", "height")?);
+        let m = self.matrix(matrix, "the 3x3 camera matrix [fx 0 cx; 0 fy cy; 0 0 1]")?;
+        if m.data.len() != 9 || !matches!(m.rows, 1 | 3) {
+            return Err(self.shape(matrix, m, "3 rows and 3 columns"));
+        }
+        let [fx, skew, cx, m10, fy, cy, m20, m21, m22] = m.data[..] else {
+            return Err(self.shape(matrix, m, "3 rows and 3 columns"));
+        };
+        for (name, focal) in [("fx", fx), ("fy", fy)] {
+            if focal <= 0.0 {
+                let value = format!("{name} {focal}");
+                return Err(self.value(
+                    matrix,
+                    &value,
+                    "a focal length must be above 0 pixels; calibrate again",
+                ));
+            }
+        }
+        // a skew that moves no pixel of the picture by a hundredth is rounding
+        if skew.abs() * (height as f64) > 0.01 * fy || m10 != 0.0 || m20 != 0.0 || m21 != 0.0 || m22 != 1.0 {
+            let value = format!("[{fx}, {skew}, {cx}; {m10}, {fy}, {cy}; {m20}, {m21}, {m22}]");
+            return Err(self.value(
+                matrix,
+                &value,
+                "must be [fx 0 cx; 0 fy cy; 0 0 1]; calibrate without skew",
+            ));
+        }
+        let d = self
+            .matrix(coefficients, "the distortion coefficients k1 k2 p1 p2 [k3 …]; `data: [ ]` for none")?;
+        if !matches!(d.data.len(), 0 | 4 | 5 | 8 | 12 | 14) || (d.rows > 1 && d.columns > 1) {
+            let value = format!("{} coefficients", d.data.len());
+            return Err(self.value(
+                coefficients,
+                &value,
+                "0, 4, 5, 8, 12 or 14 of them in OpenCV's order are allowed",
+            ));
+        }
+        let mut distortion = [0.0; 14];
+        distortion[..d.data.len()].copy_from_slice(&d.data);
+        Ok(CameraModel { width, height, fx, fy, cx, cy, distortion })
+    }
+
+    fn rotation(&self, key: &str) -> Result<UnitQuaternion<f64>, RigError> {
+        let m = self.matrix(key, "the 3x3 rotation")?;
+        if m.data.len() != 9 || !matches!(m.rows, 1 | 3) {
+            return Err(self.shape(key, m, "3 rows and 3 columns"));
+        }
+        let r = Matrix3::from_row_slice(&m.data);
+        let off = (r.tr_mul(&r) - Matrix3::identity()).abs().max();
+        if off > ROTATION_TOLERANCE || r.determinant() < 0.0 {
+            let value = format!("{:?}", m.data);
+            let problem = if off > ROTATION_TOLERANCE {
+                format!(
+                    "is no rotation: RᵀR differs from 1 by {off:.2e}, allowed is {ROTATION_TOLERANCE:.0e}; calibrate again"
+                )
+            } else {
+                "is no rotation but a reflection: its determinant is -1; calibrate again".to_owned()
+            };
+            return Err(self.value(key, &value, &problem));
+        }
+        let nearest = Rotation3::from_matrix_eps(&r, 1e-15, 100, Rotation3::from_matrix_unchecked(r));
+        Ok(UnitQuaternion::from_rotation_matrix(&nearest))
+    }
+
+    fn check_baseline(&self, translation_mm: &Vector3<f64>, key: &str, remedy: &str) -> Result<(), RigError> {
+        let baseline = translation_mm.norm();
+        if baseline >= BASELINE_MIN_MM && baseline.is_finite() {
+            return Ok(());
+        }
+        let [x, y, z] = [translation_mm.x, translation_mm.y, translation_mm.z];
+        let problem =
+            format!("a baseline of {baseline} mm; it must be at least {BASELINE_MIN_MM} mm. {remedy}");
+        Err(self.value(key, &format!("[{x}, {y}, {z}]"), &problem))
+    }
+
+    /// A side of the picture in pixels.
+    fn side(&self, key: &str, other_key: &str) -> Result<usize, RigError> {
+        let remedy =
+            "the size in pixels of the pictures that the calibration was made with, as `image_width: 640`";
+        let text = match self.scalar(key)? {
+            Some(text) => text,
+            None => self.scalar(other_key)?.ok_or_else(|| self.missing(key, remedy))?,
+        };
+        let side =
+            text.parse::<f64>().ok().filter(|s| s.fract() == 0.0 && (1.0..=SIDE_MAX_PX as f64).contains(s));
+        side.map(|s| s as usize).ok_or_else(|| {
+            self.value(key, text, &format!("must be a whole number of pixels from 1 to {SIDE_MAX_PX}"))
+        })
+    }
+
+    fn scalar(&self, key: &str) -> Result<Option<&str>, RigError> {
+        match self.entries.iter().find(|(k, _)| k == key).map(|(_, v)| v) {
+            None => Ok(None),
+            Some(Ok(Value::Scalar(text))) => Ok(Some(text)),
+            Some(Ok(_)) => Err(self.value(key, "no single value", "write it as `key: value` on one line")),
+            Some(Err(e)) => Err(syntax(&self.path, e)),
+        }
+    }
+
+    /// A matrix of finite numbers.
+    fn matrix(&self, key: &str, what: &'static str) -> Result<&Matrix, RigError> {
+        let matrix = match self.entries.iter().find(|(k, _)| k == key).map(|(_, v)| v) {
+            None => return Err(self.missing(key, what)),
+            Some(Err(e)) => return Err(syntax(&self.path, e)),
+            Some(Ok(Value::Matrix(matrix))) => matrix,
+            Some(Ok(Value::Scalar(text))) => {
+                return Err(self.value(key, text, &format!("is no matrix; it is {what}")));
+            }
+            Some(Ok(Value::Other)) => {
+                return Err(self.value(
+                    key,
+                    "something else",
+                    &format!("is no matrix of numbers; it is {what}"),
+                ));
+            }
+        };
+        if let Some(i) = matrix.data.iter().position(|v| !v.is_finite()) {
+            let (row, column) = (i / matrix.columns, i % matrix.columns);
+            let place = format!("{key}[{row},{column}]");
+            return Err(self.value(&place, &matrix.data[i].to_string(), "must be finite; calibrate again"));
+        }
+        Ok(matrix)
+    }
+
+    fn missing(&self, key: &str, what: &'static str) -> RigError {
+        RigError::Missing { path: self.path.clone(), key: key.to_owned(), remedy: what }
+    }
+
+    fn shape(&self, key: &str, m: &Matrix, allowed: &str) -> RigError {
+        let value = format!("a matrix of {} rows and {} columns", m.rows, m.columns);
+        self.value(key, &value, &format!("must have {allowed}"))
+    }
+
+    fn value(&self, key: &str, value: &str, problem: &str) -> RigError {
+        let (key, value) = (key.to_owned(), value.to_owned());
+        RigError::Value { path: self.path.clone(), key, value, problem: problem.to_owned() }
+    }
+}
+
+fn syntax(path: &Path, e: &yaml::SyntaxError) -> RigError {
+    RigError::Syntax { path: path.to_owned(), line: e.line, problem: e.problem.clone() }
+}

@@ -1,0 +1,119 @@
+//! Intrinsics, distortion and stereo geometry of two cameras.
+//!
+//! Takes a calibration file ([`Rig::read`]) and gives what turns pixels to rays and rays to points:
+//! [`CameraModel`] (points are undistorted, never pictures), [`StereoGeometry`] (epipolar distance, triangulation
+//! by least reprojection error) and [`UndistortTable`] (the same undistortion by look-up). Owns the files'
+//! formats: OpenCV FileStorage YAML, read and written, and pairs of ROS camera_info.
+//!
+//! ```
+//! # use nalgebra::Point3;
+//! # let path = concat!(env!("CARGO_MANIFEST_DIR"), "/replay/conveyor/calibration.yaml");
+//! let rig = pickcell::rig::Rig::read(path)?;
+//! let point = Point3::new(12.0, -7.0, 480.0);
+//! let left = rig.left.undistort(rig.project_left(&point).unwrap());
+//! let right = rig.right.undistort(rig.project_right(&point).unwrap());
+//! let seen = rig.triangulate(left, right).unwrap();
+//! assert!((seen.point_left_mm - point).norm() < 1e-6 && seen.residual_px < 1e-6);
+//! # Ok::<(), pickcell::rig::RigError>(())
+//! ```
+
+mod camera;
+mod error;
+mod file;
+mod geometry;
+mod table;
+mod yaml;
+
+use nalgebra::{Isometry3, Matrix3, Point3, Vector2};
+
+pub use camera::CameraModel;
+pub use error::RigError;
+pub use geometry::{StereoGeometry, Triangulated};
+pub use table::UndistortTable;
+
+/// Two cameras and how they stand to each other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rig {
+    /// The left camera; its frame is the rig's.
+    pub left: CameraModel,
+    /// The right camera.
+    pub right: CameraModel,
+    /// `X_right = R X_left + T`, T in mm.
+    pub right_from_left: Isometry3<f64>,
+}
+
+impl Rig {
+    /// Where the left camera sees a point of the left camera's frame; see [`CameraModel::project`].
+    #[inline]
+    pub fn project_left(&self, point_left_mm: &Point3<f64>) -> Option<Vector2<f64>> {
+        self.left.project(point_left_mm)
+    }
+
+    /// Where the right camera sees a point of the left camera's frame; see [`CameraModel::project`].
+    #[inline]
+    pub fn project_right(&self, point_left_mm: &Point3<f64>) -> Option<Vector2<f64>> {
+        self.right.project(&(self.right_from_left * point_left_mm))
+    }
+
+    /// The stereo geometry, worked out once. Hot code keeps it; the methods below make it anew at every call.
+    pub fn geometry(&self) -> StereoGeometry {
+        StereoGeometry::new(self)
+    }
+
+    /// `E` of `x_rightᵀ E x_left = 0` for normalised coordinates, T in mm.
+    pub fn essential(&self) -> Matrix3<f64> {
+        self.geometry().essential
+    }
+
+    /// Distance of two image points from being pictures of one point, in pixels, 0 or more; see
+    /// [`StereoGeometry::epipolar_offset_px`].
+    pub fn epipolar_distance_px(&self, left_norm: Vector2<f64>, right_norm: Vector2<f64>) -> f64 {
+        self.geometry().epipolar_offset_px(left_norm, right_norm).abs()
+    }
+
+    /// The point that explains both image points best; see [`StereoGeometry::triangulate`].
+    pub fn triangulate(&self, left_norm: Vector2<f64>, right_norm: Vector2<f64>) -> Option<Triangulated> {
+        self.geometry().triangulate(left_norm, right_norm)
+    }
+
+    /// Covariance in mm² of a triangulated point of the left camera's frame, where every image coordinate has
+    /// independent noise of `sigma_px`: σ² (JᵀJ)⁻¹ with the Jacobian of all four coordinates. `None` where the
+    /// cameras do not fix the point (not in front of both, on the baseline, at infinity).
+    pub fn triangulation_covariance(
+        &self,
+        point_left_mm: &Point3<f64>,
+        sigma_px: f64,
+    ) -> Option<Matrix3<f64>> {
+        let (_, left) = self.left.project_with_jacobian(point_left_mm)?;
+        let (_, right) = self.right.project_with_jacobian(&(self.right_from_left * point_left_mm))?;
+        let right = right * self.right_from_left.rotation.to_rotation_matrix().into_inner();
+        let information = left.tr_mul(&left) + right.tr_mul(&right);
+        let covariance = information.cholesky()?.inverse() * (sigma_px * sigma_px);
+        covariance.iter().all(|v| v.is_finite()).then_some(covariance)
+    }
+
+    /// Distance of the two cameras' centres in mm.
+    pub fn baseline_mm(&self) -> f64 {
+        self.right_from_left.translation.vector.norm()
+    }
+
+    /// Whether both cameras were calibrated for pictures of this size.
+    ///
+    /// # Errors
+    /// [`RigError::Size`] names the camera and both sizes.
+    pub fn check_size(&self, width: usize, height: usize) -> Result<(), RigError> {
+        for (camera, model) in [("left", &self.left), ("right", &self.right)] {
+            if (model.width, model.height) != (width, height) {
+                return Err(RigError::Size {
+                    camera,
+                    calibrated: (model.width, model.height),
+                    picture: (width, height),
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests;
