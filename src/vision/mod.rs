@@ -5,4 +5,5 @@ pub mod binarize;
 pub mod bits;
 pub mod decode;
 pub mod graph;
+pub mod level;
 pub mod thin;

@@ -237,12 +237,12 @@ fn finish(graph: &mut Graph) {
         let terminal = |n: u32| nodes.get(n as usize).map(|n: &Node| n.position_px);
         edge.length_px = length(chain, terminal(edge.nodes[0]), terminal(edge.nodes[1]), edge.closed);
     }
-    for i in 0..edges.len() {
-        let [a, b] = edges[i].nodes;
+    for edge in edges.iter_mut() {
+        let [a, b] = edge.nodes;
         let junction = |n: u32| nodes.get(n as usize).is_some_and(|n| n.kind == NodeKind::Junction);
         if a != b && junction(a) && junction(b) {
             let half = nodes[a as usize].half_thickness_px.max(nodes[b as usize].half_thickness_px);
-            edges[i].crossing_bridge = edges[i].length_px < 1.5 * 2.0 * half;
+            edge.crossing_bridge = edge.length_px < 1.5 * 2.0 * half;
         }
     }
 }

@@ -151,5 +151,5 @@ fn step([x, y]: [u16; 2], direction: usize) -> [u16; 2] {
 }
 
 fn step_length(direction: usize) -> f32 {
-    if direction % 2 == 0 { 1.0 } else { std::f32::consts::SQRT_2 }
+    if direction.is_multiple_of(2) { 1.0 } else { std::f32::consts::SQRT_2 }
 }
