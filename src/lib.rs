@@ -8,6 +8,7 @@
 pub mod config;
 pub mod files;
 pub mod frame;
+pub mod part;
 pub mod rig;
 pub mod time;
 pub mod vision;
