@@ -5,10 +5,13 @@
 //!          pair        binarize   thin       graph   harmony       pose       grasp
 //! ```
 
+pub mod camera;
 pub mod config;
 pub mod files;
 pub mod frame;
+pub mod handover;
 pub mod part;
 pub mod rig;
+pub mod session;
 pub mod time;
 pub mod vision;

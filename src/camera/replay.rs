@@ -1,0 +1,243 @@
+//! One side of a recorded session, played as if a camera stood there.
+//!
+//! Takes the pictures of a [`Session`] and a [`Pace`]; gives frames at their time. A replayed frame's time stamp is
+//! the moment at which its pair is handed over. That moment is agreed once for both sides, so pictures of two
+//! different pairs are never taken for one, however the two threads are scheduled.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
+use std::time::Duration;
+
+use super::{Condition, Grab, Side};
+use crate::frame::{Frame, TimestampMark};
+use crate::handover::Waker;
+use crate::session::{Session, SessionError, read_picture};
+use crate::time::Timestamp;
+
+/// Decoded pictures are kept in memory up to this size, both sides together; the rest is read when it is due.
+const KEPT_BYTES_MAX: usize = 512 << 20;
+
+/// How fast a session is played.
+#[derive(Clone, Debug)]
+pub enum Pace {
+    /// A pair every so often.
+    Every(Duration),
+    /// The next pair when the cell has finished the last one: whoever finishes a pair wakes both.
+    Stepped([Arc<Waker>; 2]),
+}
+
+#[derive(Debug)]
+enum Picture {
+    Kept(Frame),
+    File(PathBuf),
+    Absent,
+}
+
+/// When each pair was handed over, 0 = not yet.
+#[derive(Debug)]
+struct Moments {
+    start: Timestamp,
+    at: Vec<AtomicI64>,
+}
+
+impl Moments {
+    /// The moment of pair `index`: now, if the other side has not been there.
+    fn agree(&self, index: usize) -> Timestamp {
+        let now = Timestamp::now();
+        match self.at[index].compare_exchange(0, now.0, Ordering::Relaxed, Ordering::Relaxed) {
+            Ok(_) => now,
+            Err(earlier) => Timestamp(earlier),
+        }
+    }
+
+    /// Not before its time, and not so soon after its predecessor that a late session bunches up.
+    fn due(&self, index: usize, period: Duration) -> Timestamp {
+        let planned = self.start.after(period.saturating_mul(u32::try_from(index).unwrap_or(u32::MAX)));
+        let previous = match index.checked_sub(1).map(|i| self.at[i].load(Ordering::Relaxed)) {
+            None | Some(0) => return planned,
+            Some(previous) => Timestamp(previous),
+        };
+        planned.max(previous.after(period.mul_f64(0.9)))
+    }
+}
+
+/// One side of a session.
+#[derive(Debug)]
+pub struct ReplayCamera {
+    side: Side,
+    pictures: Vec<Picture>,
+    moments: Arc<Moments>,
+    pace: Pace,
+    /// Next pair; the session starts anew at its end until `at` of all pairs are used up.
+    next: usize,
+}
+
+impl ReplayCamera {
+    /// Both sides of `session`, which is repeated until `pairs` pairs were played. The first pair is due a period
+    /// from now.
+    ///
+    /// # Errors
+    /// A picture that cannot be read.
+    pub fn both(session: &Session, pace: &Pace, pairs: usize) -> Result<[Self; 2], SessionError> {
+        let first_after = match pace {
+            Pace::Every(period) => *period,
+            Pace::Stepped(_) => Duration::ZERO,
+        };
+        let moments = Arc::new(Moments {
+            start: Timestamp::now().after(first_after),
+            at: (0..pairs).map(|_| AtomicI64::new(0)).collect(),
+        });
+        let mut kept = 0;
+        let mut side = |side: Side| -> Result<Self, SessionError> {
+            let mut pictures = Vec::with_capacity(session.pairs.len());
+            for pair in &session.pairs {
+                let Some(path) = &pair.pictures[side.index()] else {
+                    pictures.push(Picture::Absent);
+                    continue;
+                };
+                let frame = read_picture(path)?;
+                kept += frame.bytes.len();
+                pictures.push(match kept <= KEPT_BYTES_MAX {
+                    true => Picture::Kept(frame),
+                    false => Picture::File(path.clone()),
+                });
+            }
+            Ok(Self { side, pictures, moments: Arc::clone(&moments), pace: pace.clone(), next: 0 })
+        };
+        Ok([side(Side::Left)?, side(Side::Right)?])
+    }
+
+    /// The largest picture of this side that is kept in memory, bytes.
+    pub fn largest_bytes(&self) -> usize {
+        let bytes = |picture: &Picture| match picture {
+            Picture::Kept(frame) => frame.bytes.len(),
+            _ => 0,
+        };
+        self.pictures.iter().map(bytes).max().unwrap_or(0)
+    }
+
+    /// Waits until the next picture is due, at most `timeout`.
+    pub fn grab(&mut self, frame: &mut Frame, timeout: Duration) -> Grab {
+        let give_up = Timestamp::now().after(timeout);
+        while self.next < self.moments.at.len() {
+            if !self.wait_due(give_up) {
+                return Grab::TimedOut;
+            }
+            let index = self.next;
+            self.next += 1;
+            let condition = match &self.pictures[index % self.pictures.len()] {
+                Picture::Absent => continue,
+                Picture::Kept(kept) => {
+                    copy(kept, frame);
+                    Condition::Good
+                }
+                Picture::File(path) => match read_picture(path) {
+                    Ok(read) => {
+                        copy(&read, frame);
+                        Condition::Good
+                    }
+                    Err(_) => Condition::Damaged,
+                },
+            };
+            frame.timestamp = self.moments.agree(index);
+            frame.mark = TimestampMark::HandedOver;
+            frame.sequence = index as u32;
+            return Grab::Frame { condition, skipped: 0 };
+        }
+        Grab::Ended
+    }
+
+    /// Whether the next picture is due before `give_up`; sleeps until then.
+    fn wait_due(&self, give_up: Timestamp) -> bool {
+        match &self.pace {
+            Pace::Every(period) => {
+                let due = self.moments.due(self.next, *period);
+                sleep_until(due.min(give_up));
+                due <= give_up
+            }
+            Pace::Stepped(wakers) => {
+                let left = give_up.since(Timestamp::now()).max(0);
+                self.next == 0 || wakers[self.side.index()].wait(Some(Duration::from_nanos(left as u64)))
+            }
+        }
+    }
+}
+
+/// Copies pixels and what they are into a recycled frame.
+fn copy(from: &Frame, to: &mut Frame) {
+    to.bytes.clear();
+    to.bytes.extend_from_slice(&from.bytes);
+    to.format = from.format;
+    (to.width, to.height, to.stride_bytes) = (from.width, from.height, from.stride_bytes);
+    to.encoding = from.encoding;
+}
+
+fn sleep_until(due: Timestamp) {
+    let left = due.since(Timestamp::now());
+    if left > 0 {
+        std::thread::sleep(Duration::from_nanos(left as u64));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::session::RecordedPair;
+
+    /// Three pairs; the right picture of the second one is missing.
+    fn session(folder: &std::path::Path) -> Session {
+        let pair = |i: u8, right: bool| {
+            let pictures = [Some(Side::Left), right.then_some(Side::Right)].map(|side| {
+                side.map(|side| {
+                    let path = folder.join(format!("{i}{}.png", side.name()));
+                    image::GrayImage::from_pixel(2, 2, image::Luma([10 * i + side as u8]))
+                        .save(&path)
+                        .unwrap();
+                    path
+                })
+            });
+            RecordedPair { name: i.to_string(), pictures }
+        };
+        let pairs = vec![pair(0, true), pair(1, false), pair(2, true)];
+        Session { folder: folder.to_owned(), rate_hz: 1000.0, pairs }
+    }
+
+    #[test]
+    fn a_session_is_played_in_order_repeated_and_ends() {
+        let folder = tempfile::tempdir().unwrap();
+        let session = session(folder.path());
+        let pace = Pace::Every(session.period());
+        let [mut left, mut right] = ReplayCamera::both(&session, &pace, 4).unwrap();
+        let all = |camera: &mut ReplayCamera| {
+            let (mut frame, mut seen) = (Frame::default(), Vec::new());
+            while let Grab::Frame { condition, .. } = camera.grab(&mut frame, Duration::from_secs(10)) {
+                assert_eq!(condition, Condition::Good);
+                seen.push((frame.bytes[0], frame.sequence, frame.timestamp));
+            }
+            assert_eq!(camera.grab(&mut frame, Duration::ZERO), Grab::Ended);
+            seen
+        };
+        let (left, right) = (all(&mut left), all(&mut right));
+        assert_eq!(left.iter().map(|f| (f.0, f.1)).collect::<Vec<_>>(), [(0, 0), (10, 1), (20, 2), (0, 3)]);
+        assert_eq!(right.iter().map(|f| (f.0, f.1)).collect::<Vec<_>>(), [(1, 0), (21, 2), (1, 3)]);
+        // One moment for both sides of a pair, rising, although one side was played long after the other.
+        assert_eq!((left[0].2, left[2].2, left[3].2), (right[0].2, right[1].2, right[2].2));
+        assert!(left.windows(2).all(|w| w[0].2 < w[1].2));
+    }
+
+    #[test]
+    fn a_stepped_session_waits_for_the_cell() {
+        let folder = tempfile::tempdir().unwrap();
+        let session = session(folder.path());
+        let wakers = [(); 2].map(|()| Arc::new(Waker::new().unwrap()));
+        let [mut left, _] = ReplayCamera::both(&session, &Pace::Stepped(wakers.clone()), 3).unwrap();
+        let mut frame = Frame::default();
+        let step = |camera: &mut ReplayCamera, frame: &mut Frame| camera.grab(frame, Duration::ZERO);
+        assert!(matches!(step(&mut left, &mut frame), Grab::Frame { .. }));
+        assert_eq!(step(&mut left, &mut frame), Grab::TimedOut);
+        wakers[0].wake();
+        assert!(matches!(step(&mut left, &mut frame), Grab::Frame { .. }));
+        assert_eq!(step(&mut left, &mut frame), Grab::TimedOut);
+    }
+}

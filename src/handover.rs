@@ -1,0 +1,133 @@
+//! How one thread hands something to another without a lock: [`Latest`] (the newest wins) and [`Waker`].
+//!
+//! Takes values, gives them to another thread; owns the one place between the two. A thread that has nothing to
+//! do sleeps in the kernel on its waker's descriptor, together with whatever device it serves; nothing spins.
+
+use std::io;
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::time::Duration;
+
+use crossbeam_queue::ArrayQueue;
+use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
+
+/// A place for one value, in which a newer one replaces one that was not fetched.
+#[derive(Debug)]
+pub struct Latest<T> {
+    place: ArrayQueue<T>,
+}
+
+impl<T> Latest<T> {
+    /// An empty place.
+    pub fn new() -> Self {
+        Self { place: ArrayQueue::new(1) }
+    }
+
+    /// Puts `value` there and gives the one back that it replaced.
+    pub fn put(&self, value: T) -> Option<T> {
+        self.place.force_push(value)
+    }
+
+    /// Takes what is there.
+    pub fn take(&self) -> Option<T> {
+        self.place.pop()
+    }
+}
+
+impl<T> Default for Latest<T> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// Wakes a thread that sleeps in [`Waker::wait`] or polls [`Waker::as_fd`]. An eventfd: a wake that comes while
+/// nobody sleeps is kept, several are one.
+#[derive(Debug)]
+pub struct Waker {
+    fd: OwnedFd,
+}
+
+impl Waker {
+    /// A waker that was not woken.
+    ///
+    /// # Errors
+    /// The system has no descriptor left.
+    pub fn new() -> io::Result<Self> {
+        Ok(Self { fd: eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)? })
+    }
+
+    /// Wakes. One system call that never blocks.
+    pub fn wake(&self) {
+        // The only failure is a counter at its limit, which is a wake that was not fetched.
+        let _ = rustix::io::write(&self.fd, &1u64.to_ne_bytes());
+    }
+
+    /// Forgets wakes that came so far; whether there were any.
+    pub fn clear(&self) -> bool {
+        let mut count = [0; 8];
+        rustix::io::read(&self.fd, &mut count).is_ok()
+    }
+
+    /// Sleeps until woken, at most `timeout` (`None`: for ever), and clears. Whether it was woken.
+    pub fn wait(&self, timeout: Option<Duration>) -> bool {
+        wait_readable(&[self.fd.as_fd()], timeout);
+        self.clear()
+    }
+}
+
+impl AsFd for Waker {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.fd.as_fd()
+    }
+}
+
+/// Sleeps until one of at most four descriptors can be read (or has an error), at most `timeout`. A signal ends
+/// the sleep early.
+///
+/// # Panics
+/// With more than four descriptors, or none.
+pub fn wait_readable(fds: &[BorrowedFd<'_>], timeout: Option<Duration>) {
+    assert!((1..=4).contains(&fds.len()), "1 to 4 descriptors to wait for");
+    let timeout = timeout.map(|t| Timespec {
+        tv_sec: i64::try_from(t.as_secs()).unwrap_or(i64::MAX),
+        tv_nsec: i64::from(t.subsec_nanos()),
+    });
+    let mut polled = [fds[0]; 4].map(|fd| PollFd::from_borrowed_fd(fd, PollFlags::IN));
+    for (slot, &fd) in polled.iter_mut().zip(fds) {
+        *slot = PollFd::from_borrowed_fd(fd, PollFlags::IN);
+    }
+    // EINTR is an early end of the sleep, which every caller allows for.
+    let _ = poll(&mut polled[..fds.len()], timeout.as_ref());
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_newest_wins_and_the_older_one_comes_back() {
+        let place = Latest::new();
+        assert_eq!(place.put(1), None);
+        assert_eq!(place.put(2), Some(1));
+        assert_eq!((place.take(), place.take()), (Some(2), None));
+    }
+
+    #[test]
+    fn a_wake_before_the_sleep_is_kept() {
+        let waker = Waker::new().unwrap();
+        assert!(!waker.wait(Some(Duration::from_millis(1))));
+        waker.wake();
+        waker.wake();
+        assert!(waker.wait(None));
+        assert!(!waker.wait(Some(Duration::ZERO)));
+    }
+
+    #[test]
+    fn a_sleeping_thread_is_woken() {
+        let waker = Waker::new().unwrap();
+        std::thread::scope(|scope| {
+            let sleeper = scope.spawn(|| waker.wait(None));
+            waker.wake();
+            assert!(sleeper.join().unwrap());
+        });
+    }
+}
