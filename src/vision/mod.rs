@@ -5,5 +5,6 @@ pub mod binarize;
 pub mod bits;
 pub mod decode;
 pub mod graph;
+mod lanes;
 pub mod level;
 pub mod thin;

@@ -1,0 +1,34 @@
+//! Thinning against OpenCV's skeletons of the shared reference pictures; skipped where they are not there.
+
+use pickcell::vision::bits::BitImage;
+use pickcell::vision::level::Level;
+use pickcell::vision::thin::{Algorithm, Params, Thin};
+use std::path::Path;
+
+fn read(path: &Path) -> BitImage {
+    let grey = image::open(path).unwrap_or_else(|e| panic!("{}: {e}", path.display())).into_luma8();
+    BitImage::from_grey(grey.width() as usize, grey.height() as usize, grey.as_raw())
+}
+
+#[test]
+fn skeletons_equal_opencv_pixel_for_pixel() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/thinning");
+    if !folder.is_dir() {
+        println!("skipped: {} is not there", folder.display());
+        return;
+    }
+    for name in ["skimage_horse", "opencv_shape_3", "opencv_shape_14"] {
+        let mask = read(&folder.join(format!("{name}.png")));
+        for (algorithm, suffix) in
+            [(Algorithm::ZhangSuen, "cv_zhangsuen"), (Algorithm::GuoHall, "cv_guohall")]
+        {
+            let expected = read(&folder.join(format!("{name}__{suffix}.png")));
+            for &level in Level::available() {
+                let mut skeleton = BitImage::new(mask.width(), mask.height());
+                Thin::with_level(Params { algorithm }, mask.width(), mask.height(), level)
+                    .run(&mask, &mut skeleton);
+                assert!(skeleton == expected, "{name}, {algorithm:?}, {level:?}");
+            }
+        }
+    }
+}
