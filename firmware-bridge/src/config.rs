@@ -11,7 +11,7 @@
 //! port = "/dev/serial/by-id/usb-FTDI_FT232R_A50285BI-if00-port0"
 //! baud = 115200
 //! dialect = "grbl"                # own | grbl | marlin | uarm
-//! axes = "xyz+yaw"                # xyz | xyz+yaw | pose
+//! axes = "xyz"                    # xyz | xyz+yaw | pose
 //! resume = "manual"               # manual | auto
 //!
 //! [arm.moves]                     # only for G-code dialects; left out = the dialect's own
@@ -150,12 +150,27 @@ impl Default for Arm {
 pub struct Moves {
     /// Sent once after every release, before the first pick (units, homing).
     pub start: Vec<String>,
-    /// From rest to the part lying in its place.
+    /// From rest to the part lying in its place. The entry `"held?"` asks whether a part is held, see `held`.
     pub pick: Vec<String>,
+    /// Instead of what follows `"held?"` in `pick`, when no part is held: open the fingers, get up.
+    pub missed: Vec<String>,
     /// Out of the cameras' view; when it has ended the arm is clear of the view.
     pub clear: Vec<String>,
+    /// How the arm is asked whether it holds a part.
+    pub held: Option<Held>,
     /// Numbers of your own, usable as `{name}`.
     pub values: BTreeMap<String, f64>,
+}
+
+/// `[arm.moves]` `held`: a question to the controller and the sign of a held part in its answer.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Held {
+    /// The question: Grbl `?` (status report), Marlin `M119` (switches), uArm `P2231` (pump), `P2232` (gripper) or
+    /// `P2233` (switch).
+    pub ask: String,
+    /// What only the answer for a held part contains, e.g. `Pn:P`, `z_probe: TRIGGERED`, `V2`.
+    pub expect: String,
 }
 
 /// What carries targets.
@@ -278,6 +293,9 @@ pub enum ConfigError {
     /// It is no TOML, or a key is unknown or of the wrong type.
     #[error("{0}")]
     Toml(#[from] toml::de::Error),
+    /// A move template is not allowed.
+    #[error(transparent)]
+    Template(#[from] crate::gcode::template::TemplateError),
     /// A value is not allowed.
     #[error("{key} = {value} is not allowed: it must be {allowed}")]
     Value {
@@ -321,7 +339,11 @@ impl Settings {
     pub fn check(&self) -> Result<(), ConfigError> {
         self.arm.check()?;
         self.workspace.check()?;
-        self.gripper.check()
+        self.gripper.check()?;
+        if self.arm.dialect != DialectName::Own {
+            crate::gcode::template::Program::compile(self)?;
+        }
+        Ok(())
     }
 }
 

@@ -6,6 +6,7 @@
 //! | [`config`] | `[arm]`, `[workspace]`, `[gripper]` of cell.toml | cold |
 //! | [`gate`] | the last check before a target is encoded | hot, pure |
 //! | [`dialect`] | one state machine an arm's language: messages in, bytes out, and back | hot, pure |
+//! | [`gcode`] | the dialects of G-code: move templates, Grbl, Marlin, uArm | hot but for the templates, pure |
 //! | [`simulate`] | the firmware's end of each language, with faults on demand | pure |
 //!
 //! Nothing here knows the driver. Pure modules get time (nanoseconds of `CLOCK_MONOTONIC`) and randomness as
@@ -20,5 +21,7 @@ pub mod config;
 pub mod dialect;
 #[cfg(feature = "std")]
 pub mod gate;
+#[cfg(feature = "std")]
+pub mod gcode;
 #[cfg(feature = "std")]
 pub mod simulate;
