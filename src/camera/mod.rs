@@ -7,6 +7,8 @@
 
 pub mod pool;
 pub mod replay;
+#[cfg(feature = "v4l2")]
+pub mod v4l;
 
 use std::time::Duration;
 
@@ -127,6 +129,9 @@ pub enum Grab {
 pub enum Camera {
     /// One side of a recorded session.
     Replay(ReplayCamera),
+    /// A V4L2 device.
+    #[cfg(feature = "v4l2")]
+    V4l(Box<v4l::V4lCamera>),
 }
 
 impl Camera {
@@ -134,6 +139,8 @@ impl Camera {
     pub fn grab(&mut self, frame: &mut Frame, timeout: Duration) -> Grab {
         match self {
             Camera::Replay(camera) => camera.grab(frame, timeout),
+            #[cfg(feature = "v4l2")]
+            Camera::V4l(camera) => camera.grab(frame, timeout),
         }
     }
 }

@@ -1,0 +1,356 @@
+//! A live camera.
+//!
+//! Takes its [`CameraSettings`]; gives a [`Grab`] a call; owns the device, its mapped buffers and the pause until
+//! the next attempt to open it. It is opened by its stable path, with exactly the format, size and rate asked for,
+//! its controls set and read back, after every loss anew.
+//!
+//! ```text
+//!          opened                      first frame: Back
+//!  closed ────────► awaiting the first ────────────────► streaming
+//!    ▲                     │ none in time                    │ unplugged, stalled, error: Lost
+//!    └─────────────────────┴─────────────────────────────────┘   pause: 0.1 s, doubled up to 2 s
+//! ```
+
+pub mod controls;
+pub mod device;
+mod error;
+pub mod format;
+mod intake;
+mod uapi;
+
+use std::io;
+use std::time::Duration;
+
+use crate::camera::{Condition, Grab, Trouble};
+use crate::config::CameraSettings;
+use crate::frame::{ColourEncoding, Frame, TimestampMark};
+use crate::time::Timestamp;
+use device::{Buffers, Device, DriverFormat, Filled, Readiness};
+pub use error::CameraError;
+use error::{in_words, trouble};
+use format::Rows;
+use intake::{Intake, Taken};
+
+/// Buffers that the driver fills in turn.
+const BUFFERS: u32 = 4;
+
+/// A camera that sends nothing for so long, or for four frame periods, has stalled.
+const STALL_AFTER: Duration = Duration::from_millis(700);
+
+/// A camera that was just opened may take so long to its first frame.
+const FIRST_FRAME_WITHIN: Duration = Duration::from_secs(4);
+
+/// The first pause before a lost camera is opened again, and the longest.
+const REOPEN_PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(2));
+
+/// A stamp further than this from now is not of the clock that its flag names.
+const STAMP_OFF_NS_MAX: i64 = 10_000_000_000;
+
+/// An open device that streams.
+#[derive(Debug)]
+struct Stream {
+    // Before the device, so that the memory goes before the descriptor.
+    buffers: Buffers,
+    device: Device,
+    intake: Intake<Filled>,
+    rows: Option<Rows>,
+    encoding: ColourEncoding,
+    buffer_bytes: usize,
+    quiet_until: Timestamp,
+}
+
+/// A V4L2 camera; see the module.
+#[derive(Debug)]
+pub struct V4lCamera {
+    settings: CameraSettings,
+    stream: Option<Stream>,
+    retry_at: Timestamp,
+    pause: Duration,
+    was_lost: bool,
+    unknown_clock_told: bool,
+}
+
+impl V4lCamera {
+    /// Opens it and starts its stream.
+    ///
+    /// # Errors
+    /// What is in the way, with what to do about it.
+    pub fn open(settings: CameraSettings) -> Result<Self, CameraError> {
+        let stream = Stream::open(&settings)?;
+        Ok(V4lCamera {
+            settings,
+            stream: Some(stream),
+            retry_at: Timestamp::default(),
+            pause: REOPEN_PAUSE.0,
+            was_lost: false,
+            unknown_clock_told: false,
+        })
+    }
+
+    /// Bytes that a frame of it has at most, for the pool. 0 while it is closed.
+    pub fn frame_bytes_max(&self) -> usize {
+        self.stream.as_ref().map_or(0, |stream| stream.buffer_bytes)
+    }
+
+    /// Waits for the next frame, at most `timeout`, and copies it into `frame`. Damaged and short ones bring no
+    /// bytes. While the camera is away this is where it is opened again.
+    pub fn grab(&mut self, frame: &mut Frame, timeout: Duration) -> Grab {
+        let until = Timestamp::now().after(timeout);
+        match self.stream.is_some() {
+            true => self.grab_open(frame, until),
+            false => self.reopen(until),
+        }
+    }
+
+    fn reopen(&mut self, until: Timestamp) -> Grab {
+        let now = Timestamp::now();
+        if now < self.retry_at {
+            std::thread::sleep(between(now, self.retry_at.min(until)));
+            return Grab::TimedOut;
+        }
+        match Stream::open(&self.settings) {
+            Ok(stream) => self.stream = Some(stream),
+            Err(error) => {
+                tracing::debug!(%error, "camera not back yet");
+                self.back_off();
+            }
+        }
+        Grab::TimedOut
+    }
+
+    fn back_off(&mut self) {
+        self.retry_at = Timestamp::now().after(self.pause);
+        self.pause = (2 * self.pause).min(REOPEN_PAUSE.1);
+    }
+
+    fn grab_open(&mut self, frame: &mut Frame, until: Timestamp) -> Grab {
+        let Some(stream) = self.stream.as_mut() else { return Grab::TimedOut };
+        let taken = match stream.next(until) {
+            Ok(Some(taken)) => taken,
+            Ok(None) if Timestamp::now() < stream.quiet_until => return Grab::TimedOut,
+            Ok(None) => return self.lose(Trouble::Stalled),
+            Err(error) => return self.lose(trouble(&error)),
+        };
+        stream.quiet_until = Timestamp::now().after(stall_after(&self.settings));
+        if std::mem::take(&mut self.was_lost) {
+            self.pause = REOPEN_PAUSE.0;
+            // The frame that proved it is old by the time anyone hears of it: the next one counts.
+            return match stream.give_back(taken.buffer) {
+                Ok(()) => Grab::Back,
+                Err(error) => self.lose(trouble(&error)),
+            };
+        }
+        if taken.buffer.monotonic_ns.is_none() && !std::mem::replace(&mut self.unknown_clock_told, true) {
+            let device = self.settings.device.display();
+            tracing::warn!(%device, "time stamps are of an unknown clock; the time of dequeue is taken instead");
+        }
+        let grab = Grab::Frame { condition: taken.condition, skipped: taken.skipped };
+        match stream.copy(taken, &self.settings, frame) {
+            Ok(()) => grab,
+            // The frame is copied and good; the next grab will find out what is wrong with the camera.
+            Err(error) => {
+                tracing::debug!(%error, "buffer not taken back");
+                grab
+            }
+        }
+    }
+
+    /// Closes the camera; the cell hears of it once, and only if it had frames before.
+    fn lose(&mut self, trouble: Trouble) -> Grab {
+        if let Some(stream) = self.stream.take() {
+            stream.buffers.stop(&stream.device);
+        }
+        self.back_off();
+        match std::mem::replace(&mut self.was_lost, true) {
+            true => Grab::TimedOut,
+            false => Grab::Lost(trouble),
+        }
+    }
+}
+
+impl Drop for V4lCamera {
+    fn drop(&mut self) {
+        if let Some(stream) = self.stream.take() {
+            stream.buffers.stop(&stream.device);
+        }
+    }
+}
+
+fn stall_after(settings: &CameraSettings) -> Duration {
+    STALL_AFTER.max(4 * settings.period())
+}
+
+fn between(from: Timestamp, to: Timestamp) -> Duration {
+    Duration::from_nanos(to.since(from).max(0).unsigned_abs())
+}
+
+impl Stream {
+    fn open(asked: &CameraSettings) -> Result<Self, CameraError> {
+        let error = |step| move |reason| CameraError::of(&asked.device, asked, step, reason);
+        let device = Device::open(&asked.device).map_err(error("open"))?;
+        let identity = device.identity().map_err(error("ask who it is"))?;
+        if !identity.captures {
+            let reason = format!("{} ({}) delivers no pictures here", identity.card, identity.driver);
+            return Err(CameraError::NotACamera { device: asked.device.clone(), reason });
+        }
+        let taken = configure(&device, asked)?;
+        set_controls(&device, asked)?;
+        let width = taken.width as usize;
+        let rows = format::rows(asked.format, width, taken.height as usize, taken.bytes_per_line as usize);
+        let encoding = format::encoding(asked, &taken);
+        let buffers = Buffers::start(&device, BUFFERS).map_err(error("start the stream"))?;
+        let quiet_until = Timestamp::now().after(FIRST_FRAME_WITHIN.max(10 * asked.period()));
+        let buffer_bytes = rows.map_or(taken.size_image as usize, |rows| rows.row_bytes * rows.rows);
+        let intake = Intake::default();
+        Ok(Stream { buffers, device, intake, rows, encoding, buffer_bytes, quiet_until })
+    }
+
+    /// The next buffer; `None` where none came until `until`, or the camera has been quiet for too long.
+    fn next(&mut self, until: Timestamp) -> io::Result<Option<Taken<Filled>>> {
+        if !self.intake.is_full() {
+            let timeout = between(Timestamp::now(), until.min(self.quiet_until));
+            match self.device.wait(timeout)? {
+                Readiness::Quiet => return Ok(None),
+                Readiness::Filled => {}
+                Readiness::Broken => {
+                    // The error number tells an unplugged camera from a broken stream.
+                    return match self.buffers.dequeue(&self.device) {
+                        Err(error) => Err(error),
+                        Ok(_) => Err(io::Error::from_raw_os_error(libc::EIO)),
+                    };
+                }
+            }
+            self.drain()?;
+        }
+        Ok(self.intake.take())
+    }
+
+    fn drain(&mut self) -> io::Result<()> {
+        // Twice around at most: a camera that fills faster than this empties must not hold the thread.
+        for _ in 0..2 * self.buffers.count() {
+            let Some(filled) = self.buffers.dequeue(&self.device)? else { break };
+            let condition = intake::condition(filled.error, self.buffers.bytes(&filled), self.rows);
+            let step = self.intake.offer(filled, condition);
+            if let Some(skipped) = step.skipped {
+                self.buffers.queue(&self.device, skipped)?;
+            }
+            if step.full {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// The one copy of the pixels; then the buffer is the driver's again.
+    fn copy(&mut self, taken: Taken<Filled>, asked: &CameraSettings, frame: &mut Frame) -> io::Result<()> {
+        let bytes = self.buffers.bytes(&taken.buffer);
+        frame.format = asked.format;
+        frame.width = asked.width as usize;
+        frame.height = asked.height as usize;
+        frame.stride_bytes = self.rows.map_or(0, |rows| rows.row_bytes);
+        frame.encoding = self.encoding;
+        frame.sequence = taken.buffer.sequence;
+        (frame.timestamp, frame.mark) = stamp(&taken.buffer, Timestamp::now());
+        match (taken.condition, self.rows) {
+            (Condition::Good, Some(rows)) => rows.copy(bytes, &mut frame.bytes),
+            (Condition::Good, None) => {
+                frame.bytes.clear();
+                frame.bytes.extend_from_slice(bytes);
+            }
+            _ => frame.bytes.clear(),
+        }
+        self.give_back(taken.buffer)
+    }
+
+    fn give_back(&mut self, buffer: Filled) -> io::Result<()> {
+        self.buffers.queue(&self.device, buffer)
+    }
+}
+
+/// When the light was seen, and what moment of the exposure that is.
+fn stamp(filled: &Filled, now: Timestamp) -> (Timestamp, TimestampMark) {
+    match filled.monotonic_ns.map(Timestamp) {
+        Some(stamp) if now.since(stamp).abs() <= STAMP_OFF_NS_MAX => {
+            let start = filled.start_of_exposure;
+            (stamp, if start { TimestampMark::StartOfExposure } else { TimestampMark::EndOfFrame })
+        }
+        _ => (now, TimestampMark::HandedOver),
+    }
+}
+
+fn configure(device: &Device, asked: &CameraSettings) -> Result<DriverFormat, CameraError> {
+    let error = |step| move |reason| CameraError::of(&asked.device, asked, step, reason);
+    let code = format::code(asked.format);
+    let taken = device.set_format(code, asked.width, asked.height).map_err(error("set the format"))?;
+    let rate = device.set_rate(asked.rate_hz).map_err(error("set the frame rate"))?;
+    format::check_taken(asked, &taken, rate).map_err(|taken| CameraError::NotOffered {
+        device: asked.device.clone(),
+        asked: in_words(asked),
+        taken,
+        offered: format::in_words(&format::offered(device)),
+    })?;
+    Ok(taken)
+}
+
+fn set_controls(device: &Device, asked: &CameraSettings) -> Result<(), CameraError> {
+    if asked.controls.is_empty() {
+        return Ok(());
+    }
+    let fault = |fault| CameraError::Control { device: asked.device.clone(), fault };
+    let plan = controls::plan(&device.controls(), &asked.controls).map_err(fault)?;
+    controls::apply(
+        &plan,
+        |control| device.control(control.id),
+        |control, value| device.set_value(control, value),
+        |control| device.value(control),
+    )
+    .map_err(fault)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::PixelFormat;
+    use std::collections::BTreeMap;
+
+    fn settings(device: &str) -> CameraSettings {
+        CameraSettings {
+            device: device.into(),
+            format: PixelFormat::Yuyv,
+            width: 640,
+            height: 480,
+            rate_hz: 30.0,
+            matrix: None,
+            range: None,
+            controls: BTreeMap::new(),
+        }
+    }
+
+    fn complaint(device: &str) -> String {
+        V4lCamera::open(settings(device)).expect_err("no camera").to_string()
+    }
+
+    #[test]
+    fn what_is_not_there_or_no_camera_is_told() {
+        assert_eq!(
+            complaint("/dev/v4l/by-path/none"),
+            "camera /dev/v4l/by-path/none: there is no such device; plug it in, or take its path from `pickcell \
+             devices`"
+        );
+        assert_eq!(
+            complaint("/dev/null"),
+            "/dev/null is not a camera: it is no V4L2 device; take the path of one from `pickcell devices`"
+        );
+    }
+
+    #[test]
+    fn a_stamp_is_the_drivers_where_its_clock_is_known() {
+        let filled = Filled::stamped;
+        let now = Timestamp(50_000_000_000);
+        let stamped = stamp(&filled(Some(49_980_000_000), true), now);
+        assert_eq!(stamped, (Timestamp(49_980_000_000), TimestampMark::StartOfExposure));
+        assert_eq!(stamp(&filled(Some(50_010_000_000), false), now).1, TimestampMark::EndOfFrame);
+        assert_eq!(stamp(&filled(None, false), now), (now, TimestampMark::HandedOver));
+        assert_eq!(stamp(&filled(Some(1), false), now), (now, TimestampMark::HandedOver));
+    }
+}
