@@ -5,12 +5,19 @@
 //!          pair        binarize   thin       graph   harmony       pose       grasp
 //! ```
 
+pub mod accuracy;
 pub mod camera;
+pub mod commands;
 pub mod config;
 pub mod files;
 pub mod frame;
+pub mod grasp;
 pub mod handover;
+pub mod matching;
 pub mod part;
+pub mod picture;
+pub mod pose;
+pub mod recognize;
 pub mod rig;
 pub mod session;
 pub mod time;

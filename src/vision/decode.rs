@@ -83,6 +83,11 @@ impl Decoder {
         Self { output, raw, with_tables: Vec::with_capacity(width * height + STANDARD_TABLES.len()) }
     }
 
+    /// The picture that the last run decoded.
+    pub fn raw(&self) -> &Frame {
+        &self.raw
+    }
+
     /// The raw frame of `frame`: itself, or its picture decoded.
     ///
     /// # Errors

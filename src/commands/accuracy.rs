@@ -1,0 +1,111 @@
+//! `pickcell accuracy`: recognises scenes with known truth and prints how near it came.
+
+use std::path::{Path, PathBuf};
+
+use crate::accuracy::score::{Score, Verdict};
+use crate::accuracy::truth::{self, Scene, SceneSet, Truth};
+use crate::frame::{Frame, FramePair};
+use crate::part::Part;
+use crate::recognize::{Params, Recognition, Recognizer};
+use crate::rig::Rig;
+use crate::time::Budget;
+
+/// Recognise scenes with known truth and print how near it came.
+///
+/// Example: pickcell accuracy ../shared/scenes --out out/accuracy
+#[derive(clap::Args, Debug)]
+pub struct Accuracy {
+    /// Folder with sets/<set>/scene-NN and parts/, or with sequences (left/, right/, truth/).
+    pub root: PathBuf,
+    /// Only these sets.
+    #[arg(long = "set")]
+    pub sets: Vec<String>,
+    /// Folder of the part files; default: parts/ below ROOT.
+    #[arg(long)]
+    pub parts: Option<PathBuf>,
+    /// Iterations of the search.
+    #[arg(long, default_value_t = 1_000_000)]
+    pub iterations: u64,
+    /// Random seed.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Write OUT/<set>/<scene>/results.json, as score.py reads them.
+    #[arg(long)]
+    pub out: Option<PathBuf>,
+    /// A line for every wrong or missed part.
+    #[arg(long)]
+    pub verbose: bool,
+}
+
+/// Runs the command; gives the exit code.
+///
+/// # Errors
+/// Whatever file cannot be used.
+pub fn run(args: &Accuracy) -> Result<u8, Box<dyn std::error::Error>> {
+    let folder = args.parts.clone().unwrap_or_else(|| args.root.join("parts"));
+    let mut total = Score::default();
+    println!("{}", Score::HEADING);
+    for set in truth::read_sets(&args.root)? {
+        if args.sets.is_empty() || args.sets.contains(&set.name) {
+            let score = run_set(args, &set, &folder)?;
+            println!("{}", score.row(&set.name));
+            total.merge(&score);
+        }
+    }
+    println!("{}", total.row("**all**"));
+    Ok(0)
+}
+
+fn run_set(args: &Accuracy, set: &SceneSet, folder: &Path) -> Result<Score, Box<dyn std::error::Error>> {
+    let rig = Rig::read(&set.calibration)?;
+    let paths: Vec<PathBuf> = set.parts.iter().map(|p| folder.join(format!("{p}.toml"))).collect();
+    let parts = Part::read_all(&paths)?;
+    let mut params = Params::default();
+    params.binarize.iter_mut().for_each(|b| {
+        b.inverted = set.dark_parts;
+        b.speck_px_min = 20;
+    });
+    let mut recognizer = Recognizer::new(params, rig, parts.clone())?;
+    let mut score = Score::default();
+    for scene in &set.scenes {
+        let truth = truth::read_truth(&scene.truth)?;
+        let mut found = Recognition::default();
+        recognizer.run(&read_pair(scene)?, Budget::Iterations(args.iterations), args.seed, &mut found)?;
+        let verdicts = score.add(&truth, &found, &parts);
+        if args.verbose {
+            tell(set, scene, &truth, &found, &parts, &verdicts);
+        }
+    }
+    Ok(score)
+}
+
+fn tell(set: &SceneSet, scene: &Scene, truth: &Truth, found: &Recognition, parts: &[Part], verdicts: &[Verdict]) {
+    let name = format!("{}/{}", set.name, scene.name);
+    for v in verdicts {
+        let f = &found.parts[v.detection];
+        let what = match v.object {
+            None => "WRONG".to_string(),
+            Some((o, mean)) if mean > 1.0 => format!("{mean:.2} mm off, object {o}"),
+            _ => continue,
+        };
+        let nodes: Vec<_> = f.nodes.iter().map(|n| (n.left_px.x.round(), n.left_px.y.round())).collect();
+        println!(
+            "    {name} #{} {} {what} fitness {:.2} clear {:.2} at {nodes:?}",
+            v.detection, parts[f.part].name, f.fitness, f.clear,
+        );
+    }
+    for (o, object) in truth.objects.iter().enumerate() {
+        if !verdicts.iter().any(|v| v.object.is_some_and(|(k, _)| k == o)) {
+            let visible = object.visible_left.min(object.visible_right);
+            println!("    {name} object {o} {} missed, visible {visible:.2}", object.part);
+        }
+    }
+}
+
+fn read_pair(scene: &Scene) -> Result<FramePair, image::ImageError> {
+    let frame = |path: &Path| -> Result<Frame, image::ImageError> {
+        let picture = image::open(path)?.into_rgb8();
+        Ok(Frame::from_rgb(picture.width() as usize, picture.height() as usize, picture.into_raw()))
+    };
+    Ok(FramePair { left: frame(&scene.pictures[0])?, right: frame(&scene.pictures[1])? })
+}

@@ -1,0 +1,3 @@
+//! One file a command: parse, build, run, exit code.
+
+pub mod accuracy;

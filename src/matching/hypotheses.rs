@@ -1,0 +1,174 @@
+//! Rough poses of a part: from matches of its nodes, and from single nodes with the wire that leaves them.
+//!
+//! A match of three nodes (two of a straight part) holds a pose. Where a neighbour hides the other nodes, one node
+//! and the directions of its wire do: an end with its line for a straight part, a bend or a junction with its legs
+//! for any other.
+
+use nalgebra::{Isometry3, Point3, Vector3};
+
+use super::fitness::{Judge, StereoMatch, UNMATCHED};
+use super::nodes::{ImageNode, NodeRole};
+use super::placement::{motion_of_directions, rigid_motion};
+use super::problem::{ANCHORS_MAX, Anchor, MatchModel, StereoNode, leg_direction};
+use crate::rig::Rig;
+
+/// A rough pose of a part.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hypothesis {
+    /// Index of the part.
+    pub part: usize,
+    /// From the part's frame to the left camera's.
+    pub left_from_part: Isometry3<f64>,
+    /// Fitness of the match that it comes from.
+    pub fitness: f64,
+    /// The match: for every anchor a stereo node, or [`UNMATCHED`].
+    pub nodes: [u16; ANCHORS_MAX],
+}
+
+/// The pose that a match of nodes holds; `None` where too few are matched.
+pub fn of_match(part: usize, model: &MatchModel, found: &StereoMatch, nodes: &[StereoNode]) -> Option<Hypothesis> {
+    let mut pairs = [(Point3::origin(), Point3::origin()); ANCHORS_MAX];
+    let mut count = 0;
+    for (anchor, &n) in model.anchors.iter().zip(&found.nodes).filter(|(_, n)| **n != UNMATCHED) {
+        pairs[count] = (anchor.position_mm, nodes[n as usize].point_mm);
+        count += 1;
+    }
+    let left_from_part = rigid_motion(&pairs[..count])?;
+    Some(Hypothesis { part, left_from_part, fitness: found.fitness, nodes: found.nodes })
+}
+
+/// What single nodes need to hold a pose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SingleParams {
+    /// The angle between two legs may differ from the model's by this many radians.
+    pub angle_tolerance_rad: f64,
+    /// The sine of the angle between the planes that hold a direction in space, at least; below it the wire is
+    /// taken to lie level, at the node's depth.
+    pub hold_min: f64,
+    /// Share of the part's wire that must be foreground.
+    pub coverage_min: f64,
+}
+
+impl Default for SingleParams {
+    fn default() -> Self {
+        Self { angle_tolerance_rad: 20f64.to_radians(), hold_min: 0.03, coverage_min: 0.8 }
+    }
+}
+
+/// A leg of a stereo node in space.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct SpaceLeg {
+    direction: Vector3<f64>,
+}
+
+const SPACE_LEGS_MAX: usize = 8;
+
+/// Adds to `pool` the poses of part `part` that one stereo node and its legs hold.
+#[allow(clippy::too_many_arguments)]
+pub fn of_single_node(
+    params: &SingleParams,
+    part: usize,
+    judge: &Judge,
+    rig: &Rig,
+    index: usize,
+    node: &StereoNode,
+    left: &[ImageNode],
+    right: &[ImageNode],
+    pool: &mut Vec<Hypothesis>,
+) {
+    let mut legs = [SpaceLeg { direction: Vector3::zeros() }; SPACE_LEGS_MAX];
+    let count = space_legs(params, rig, node, &left[node.left as usize], &right[node.right as usize], &mut legs);
+    let legs = &legs[..count];
+    for (a, anchor) in judge.model.anchors.iter().enumerate() {
+        if !super::exhaustive::may_be(anchor.role, node.role) {
+            continue;
+        }
+        let mut keep = |pose: Option<Isometry3<f64>>| {
+            let Some(left_from_part) = pose else { return };
+            let coverage = judge.coverage(&left_from_part);
+            if coverage < params.coverage_min || pool.len() == pool.capacity() {
+                return;
+            }
+            let mut nodes = [UNMATCHED; ANCHORS_MAX];
+            nodes[a] = index as u16;
+            let unmatched = (judge.model.anchors.len() - 1) as f64;
+            let fitness = judge.weights.missing * (1.0 - coverage)
+                + judge.weights.unmatched * unmatched
+                + judge.weights.gap_per_px * node.gap_px;
+            pool.push(Hypothesis { part, left_from_part, fitness, nodes });
+        };
+        if judge.model.straight {
+            for leg in legs {
+                keep(motion_of_directions(&anchor.position_mm, &node.point_mm, &[(anchor.legs[0].0, leg.direction)]));
+            }
+        } else {
+            for_leg_pairs(params, anchor, legs, |pairs| {
+                keep(motion_of_directions(&anchor.position_mm, &node.point_mm, pairs))
+            });
+        }
+    }
+}
+
+/// Calls `found` with two legs of the model and two in space that enclose the same angle.
+fn for_leg_pairs(
+    params: &SingleParams,
+    anchor: &Anchor,
+    legs: &[SpaceLeg],
+    mut found: impl FnMut(&[(Vector3<f64>, Vector3<f64>)]),
+) {
+    for (i, a) in anchor.legs.iter().enumerate() {
+        for b in &anchor.legs[i + 1..] {
+            let wanted = a.0.angle(&b.0);
+            if a.0.cross(&b.0).norm() < 0.2 {
+                continue;
+            }
+            for (p, first) in legs.iter().enumerate() {
+                for (q, second) in legs.iter().enumerate() {
+                    let seen = first.direction.angle(&second.direction);
+                    if p != q && (seen - wanted).abs() < params.angle_tolerance_rad {
+                        found(&[(a.0, first.direction), (b.0, second.direction)]);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Directions in space of the legs that both pictures show.
+fn space_legs(
+    params: &SingleParams,
+    rig: &Rig,
+    node: &StereoNode,
+    left: &ImageNode,
+    right: &ImageNode,
+    legs: &mut [SpaceLeg; SPACE_LEGS_MAX],
+) -> usize {
+    let mut count = 0;
+    for l in left.legs() {
+        for r in right.legs() {
+            if count == SPACE_LEGS_MAX {
+                return count;
+            }
+            if l.direction_px.dot(&r.direction_px) < 0.86 {
+                continue;
+            }
+            let held = leg_direction(rig, l, r).filter(|(_, hold)| *hold >= params.hold_min).map(|(d, _)| d);
+            let direction = held.or_else(|| level_direction(node, l));
+            if let Some(direction) = direction {
+                legs[count] = SpaceLeg { direction };
+                count += 1;
+            }
+        }
+    }
+    count
+}
+
+/// The direction of a leg that lies at the depth of its node.
+fn level_direction(node: &StereoNode, leg: &super::nodes::Leg) -> Option<Vector3<f64>> {
+    (leg.far_ray - leg.near_ray).push(0.0).scale(node.point_mm.z).try_normalize(1e-9)
+}
+
+/// Whether a node may be one that ends wire: not a bend.
+pub fn ends_wire(role: NodeRole) -> bool {
+    role != NodeRole::Bend
+}

@@ -1,0 +1,234 @@
+//! What every search works on: the part's nodes, and the stereo nodes that may be them.
+//!
+//! A stereo node is a node of the left picture and a node of the right one that may show the same point, with that
+//! point in space. The gate keeps the pairs that lie on each other's epipolar lines, at a depth where parts can be,
+//! as thick as the part would look there.
+
+use nalgebra::{Point3, Vector2, Vector3};
+
+use super::nodes::{ImageNode, Leg, NodeRole};
+use crate::part::Part;
+use crate::rig::Rig;
+
+/// Most nodes (end points, junctions and bends) of a part's model.
+pub const ANCHORS_MAX: usize = 16;
+
+/// A node of the part's model that an image node can be: an end point, a junction or a bend.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Anchor {
+    /// What it looks like.
+    pub role: NodeRole,
+    /// Place in the part's frame.
+    pub position_mm: Point3<f64>,
+    /// Index of the part's node; `None` for a bend.
+    pub node: Option<usize>,
+    /// Unit directions in which wire leaves it, part's frame, with the length of the straight piece in mm.
+    pub legs: Vec<(Vector3<f64>, f64)>,
+}
+
+/// A straight piece of wire between two anchors.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Span {
+    /// Index of an anchor.
+    pub from: usize,
+    /// Index of another anchor.
+    pub to: usize,
+    /// Distance between them.
+    pub length_mm: f64,
+}
+
+/// A part as the search sees it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MatchModel {
+    /// Its nodes and bends.
+    pub anchors: Vec<Anchor>,
+    /// Its straight pieces.
+    pub spans: Vec<Span>,
+    /// Distances between all anchors in mm, row by row.
+    pub distances_mm: Vec<f64>,
+    /// Thickness of the wire.
+    pub thickness_mm: f64,
+    /// Whether all anchors lie on one line.
+    pub straight: bool,
+}
+
+impl MatchModel {
+    /// Takes the anchors and spans from a part: its nodes first, then the bends of its edges.
+    ///
+    /// # Panics
+    /// Where the part has more than [`ANCHORS_MAX`] nodes and bends; [`Part`] files are checked for that before.
+    pub fn new(part: &Part) -> Self {
+        let role = |n: usize| if part.degree(n) == 1 { NodeRole::End } else { NodeRole::Junction };
+        let mut anchors: Vec<Anchor> = part
+            .nodes
+            .iter()
+            .enumerate()
+            .map(|(n, node)| Anchor { role: role(n), position_mm: node.position_mm, node: Some(n), legs: Vec::new() })
+            .collect();
+        let mut spans = Vec::new();
+        for edge in &part.edges {
+            let mut previous = edge.from;
+            for via in &edge.via {
+                anchors.push(Anchor { role: NodeRole::Bend, position_mm: *via, node: None, legs: Vec::new() });
+                spans.push((previous, anchors.len() - 1));
+                previous = anchors.len() - 1;
+            }
+            spans.push((previous, edge.to));
+        }
+        assert!(anchors.len() <= ANCHORS_MAX, "part {} has {} nodes and bends", part.name, anchors.len());
+        let spans: Vec<Span> = spans
+            .into_iter()
+            .map(|(from, to)| {
+                let along = anchors[to].position_mm - anchors[from].position_mm;
+                let length_mm = along.norm();
+                anchors[from].legs.push((along / length_mm, length_mm));
+                anchors[to].legs.push((-along / length_mm, length_mm));
+                Span { from, to, length_mm }
+            })
+            .collect();
+        let distances_mm = anchors
+            .iter()
+            .flat_map(|a| anchors.iter().map(move |b| (a.position_mm - b.position_mm).norm()))
+            .collect();
+        Self { anchors, spans, distances_mm, thickness_mm: part.thickness_mm, straight: part.is_straight() }
+    }
+
+    /// Distance between two anchors in mm.
+    #[inline]
+    pub fn distance_mm(&self, a: usize, b: usize) -> f64 {
+        self.distances_mm[a * self.anchors.len() + b]
+    }
+}
+
+/// A node of the left picture and one of the right that may show the same point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StereoNode {
+    /// Index of the left picture's node.
+    pub left: u16,
+    /// Index of the right picture's node.
+    pub right: u16,
+    /// The point, left camera's frame.
+    pub point_mm: Point3<f64>,
+    /// Distance of the right node from the left node's epipolar line, in pixels.
+    pub gap_px: f64,
+    /// Whether both look like ends, both like bends, or one of them is a junction.
+    pub role: NodeRole,
+}
+
+/// Which pairs of image nodes may show the same point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GateParams {
+    /// Distance from the epipolar line at most, for two ends or two bends, in pixels.
+    pub gap_px_max: f64,
+    /// The same where one of them is a junction, whose place depends on what crosses there.
+    pub junction_gap_px_max: f64,
+    /// Depth of a part's points in the left camera's frame, in mm.
+    pub depth_mm: [f64; 2],
+    /// By what factor the thickness seen may differ from the part's.
+    pub thickness_factor_max: f64,
+    /// Most stereo nodes.
+    pub nodes_max: usize,
+}
+
+impl Default for GateParams {
+    fn default() -> Self {
+        Self {
+            gap_px_max: 2.0,
+            junction_gap_px_max: 5.0,
+            depth_mm: [100.0, 2000.0],
+            thickness_factor_max: 1.8,
+            nodes_max: 4096,
+        }
+    }
+}
+
+/// Workspace that lists the stereo nodes of a pair.
+#[derive(Clone, Debug)]
+pub struct Gate {
+    params: GateParams,
+    nodes: Vec<StereoNode>,
+}
+
+impl Gate {
+    /// Reserves all memory.
+    pub fn new(params: GateParams) -> Self {
+        Self { params, nodes: Vec::with_capacity(params.nodes_max) }
+    }
+
+    /// The stereo nodes of the last [`Gate::run`].
+    pub fn nodes(&self) -> &[StereoNode] {
+        &self.nodes
+    }
+
+    /// Lists the stereo nodes for parts between `thickness_mm[0]` and `thickness_mm[1]` thick.
+    pub fn run(&mut self, rig: &Rig, left: &[ImageNode], right: &[ImageNode], thickness_mm: [f64; 2]) {
+        self.nodes.clear();
+        let essential = rig.essential();
+        let focal_px = (rig.right.fx + rig.right.fy) / 2.0;
+        for (i, l) in left.iter().enumerate() {
+            let line = essential * Vector3::new(l.ray.x, l.ray.y, 1.0);
+            let norm = line.x.hypot(line.y).max(1e-12);
+            for (j, r) in right.iter().enumerate() {
+                let gap_px = focal_px * (line.x * r.ray.x + line.y * r.ray.y + line.z).abs() / norm;
+                if gap_px > self.params.junction_gap_px_max {
+                    continue;
+                }
+                let Some(role) = common_role(l.role, r.role) else { continue };
+                if role != NodeRole::Junction && gap_px > self.params.gap_px_max {
+                    continue;
+                }
+                let Some(seen) = rig.triangulate(l.ray, r.ray) else { continue };
+                let z = seen.point_left_mm.z;
+                if !(self.params.depth_mm[0]..=self.params.depth_mm[1]).contains(&z) {
+                    continue;
+                }
+                if role != NodeRole::Junction && !self.thickness_fits(l, r, z, rig, thickness_mm) {
+                    continue;
+                }
+                if self.nodes.len() == self.params.nodes_max {
+                    return;
+                }
+                self.nodes.push(StereoNode {
+                    left: i as u16,
+                    right: j as u16,
+                    point_mm: seen.point_left_mm,
+                    gap_px,
+                    role,
+                });
+            }
+        }
+    }
+
+    fn thickness_fits(&self, l: &ImageNode, r: &ImageNode, z_mm: f64, rig: &Rig, thickness_mm: [f64; 2]) -> bool {
+        let seen_mm = (l.half_thickness_px / rig.left.fx + r.half_thickness_px / rig.right.fx) * z_mm;
+        let factor = self.params.thickness_factor_max;
+        seen_mm == 0.0 || (thickness_mm[0] / factor..=thickness_mm[1] * factor).contains(&seen_mm)
+    }
+}
+
+/// What two nodes are together; `None` where they cannot be the same point. An end that another wire hides in one
+/// picture is a junction there.
+fn common_role(left: NodeRole, right: NodeRole) -> Option<NodeRole> {
+    use NodeRole::*;
+    match (left, right) {
+        (End, End) => Some(End),
+        (Bend, Bend) => Some(Bend),
+        (Junction, _) | (_, Junction) => Some(Junction),
+        _ => None,
+    }
+}
+
+/// Direction in space of a leg seen in both pictures, and how well it is held (0 to 1: the sine of the angle
+/// between the planes through the leg and the two cameras). Left camera's frame, pointing away from the node.
+pub fn leg_direction(rig: &Rig, left: &Leg, right: &Leg) -> Option<(Vector3<f64>, f64)> {
+    let plane = |near: &Vector2<f64>, far: &Vector2<f64>| near.push(1.0).cross(&far.push(1.0));
+    let left_from_right = rig.right_from_left.rotation.inverse();
+    let nl = plane(&left.near_ray, &left.far_ray).try_normalize(1e-12)?;
+    let nr = (left_from_right * plane(&right.near_ray, &right.far_ray)).try_normalize(1e-12)?;
+    let along = nl.cross(&nr);
+    let hold = along.norm();
+    let direction = along.try_normalize(1e-9)?;
+    // The picture says which way it leads.
+    let shown = (left.far_ray - left.near_ray).push(0.0);
+    Some((if direction.dot(&shown) < 0.0 { -direction } else { direction }, hold))
+}

@@ -1,0 +1,145 @@
+//! Competition: which of many explanations of the same wire stand.
+//!
+//! Every explanation is worth the length of wire that it shows with both outlines, less what speaks against it.
+//! The most valuable one stands and claims its stretches of wire; all others lose what it claimed, until none is
+//! left that still has a case.
+
+use crate::pose::model::PoseModel;
+use crate::pose::verify::{PieceSight, Sight, Verdict};
+
+/// When an explanation stands.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Params {
+    /// Share of the part's length that must be seen and not claimed by another, in each picture.
+    pub seen_min: f64,
+    /// Share of the part's length that may be background.
+    pub missing_max: f64,
+    /// Clean wire beyond an end or a bend, at most, in mm.
+    pub overrun_mm_max: f64,
+    /// Root mean square distance between seen and expected middles, at most, in pixels.
+    pub offset_px_max: f64,
+    /// Distance of a seen end from the expected one, at most, in pixels.
+    pub end_offset_px_max: f64,
+    /// Weight of missing and overrunning wire against seen wire.
+    pub against: f64,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Self { seen_min: 0.4, missing_max: 0.12, overrun_mm_max: 6.0, offset_px_max: 0.9, end_offset_px_max: 2.5, against: 3.0 }
+    }
+}
+
+/// Directions told apart in a claim, over half a turn.
+const DIRECTIONS: i32 = 32;
+/// Claims of directions nearer than this many steps are the same wire.
+const SAME_DIRECTION: i32 = 3;
+/// Side of a cell of the claim map, in pixels.
+const CELL_PX: f64 = 3.0;
+
+/// Which stretches of wire are claimed in one picture.
+#[derive(Clone, Debug)]
+pub struct ClaimMap {
+    columns: i32,
+    rows: i32,
+    /// Direction + 1 and its owner, or 0.
+    cells: Vec<u8>,
+    touched: Vec<u32>,
+}
+
+impl ClaimMap {
+    /// For pictures of this size.
+    pub fn new(width: usize, height: usize) -> Self {
+        let columns = (width as f64 / CELL_PX) as i32 + 1;
+        let rows = (height as f64 / CELL_PX) as i32 + 1;
+        let cells = (columns * rows) as usize;
+        Self { columns, rows, cells: vec![0; cells], touched: Vec::with_capacity(cells) }
+    }
+
+    /// Nothing is claimed.
+    pub fn clear(&mut self) {
+        for &t in &self.touched {
+            self.cells[t as usize] = 0;
+        }
+        self.touched.clear();
+    }
+
+    fn cell(&self, x: f64, y: f64) -> Option<usize> {
+        let (c, r) = ((x / CELL_PX).round() as i32, (y / CELL_PX).round() as i32);
+        (c >= 0 && r >= 0 && c < self.columns && r < self.rows).then(|| (r * self.columns + c) as usize)
+    }
+
+    /// Claims a piece of wire.
+    pub fn claim(&mut self, piece: &PieceSight) {
+        let value = direction_of(piece) as u8 + 1;
+        let steps = (piece.half_width_px * 0.8 / CELL_PX).ceil() as i32;
+        for k in -steps..=steps {
+            let along = nalgebra::Vector2::new(piece.across.y, -piece.across.x);
+            for s in -1..=1 {
+                let at = piece.expected_px
+                    + piece.across * (piece.half_width_px * 0.8 * k as f64 / steps.max(1) as f64)
+                    + along * (s as f64 * CELL_PX);
+                if let Some(cell) = self.cell(at.x, at.y) {
+                    if self.cells[cell] == 0 {
+                        self.touched.push(cell as u32);
+                    }
+                    self.cells[cell] = value;
+                }
+            }
+        }
+    }
+
+    /// Whether the middle of a piece lies on claimed wire of the same direction.
+    pub fn is_claimed(&self, piece: &PieceSight) -> bool {
+        let Some(cell) = self.cell(piece.expected_px.x, piece.expected_px.y) else { return false };
+        let value = self.cells[cell] as i32;
+        if value == 0 {
+            return false;
+        }
+        let turn = (value - 1 - direction_of(piece)).rem_euclid(DIRECTIONS);
+        turn.min(DIRECTIONS - turn) <= SAME_DIRECTION
+    }
+}
+
+fn direction_of(piece: &PieceSight) -> i32 {
+    let angle = piece.across.y.atan2(piece.across.x) / std::f64::consts::PI;
+    ((angle * DIRECTIONS as f64).round() as i32).rem_euclid(DIRECTIONS)
+}
+
+/// Length in mm of the wire that an explanation shows and nobody has claimed, left and right.
+pub fn free_length_mm(model: &PoseModel, verdict: &Verdict, claims: &[ClaimMap; 2]) -> [f64; 2] {
+    let mut free = [0.0; 2];
+    for (station, piece) in model.stations.iter().zip(&verdict.pieces) {
+        for side in 0..2 {
+            let worth = match piece[side].sight {
+                Sight::Clear => 1.0,
+                Sight::OneSide => 0.7,
+                _ => 0.0,
+            };
+            if worth > 0.0 && !claims[side].is_claimed(&piece[side]) {
+                free[side] += worth * station.length_mm;
+            }
+        }
+    }
+    free
+}
+
+/// What an explanation is worth in mm of wire, given what is claimed; `None` where it does not stand.
+pub fn worth_mm(params: &Params, model: &PoseModel, verdict: &Verdict, claims: &[ClaimMap; 2]) -> Option<f64> {
+    let missing = verdict.missing[0].max(verdict.missing[1]);
+    if missing > params.missing_max
+        || verdict.overrun_mm > params.overrun_mm_max
+        || verdict.offset_px > params.offset_px_max
+        || verdict.end_offset_px > params.end_offset_px_max
+    {
+        return None;
+    }
+    let free = free_length_mm(model, verdict, claims);
+    let least = free[0].min(free[1]);
+    if least < params.seen_min * model.length_mm {
+        return None;
+    }
+    let px_per_mm = verdict.pieces.first().map_or(1.0, |p| p[0].half_width_px / model.radius_mm).max(1e-3);
+    let against = missing * model.length_mm + verdict.overrun_mm + verdict.end_offset_px / px_per_mm;
+    Some((free[0] + free[1]) / 2.0 - params.against * against)
+}

@@ -1,0 +1,99 @@
+//! One picture through the stages of vision: decoded, binarized, thinned, read as a graph.
+
+use crate::frame::{Frame, PixelFormat};
+use crate::matching::nodes::{ImageNode, ImageNodes};
+use crate::recognize::{Params, Refusal, Side, StageTimes};
+use crate::rig::CameraModel;
+use crate::time::Timestamp;
+use crate::vision::binarize::{self, Binarize};
+use crate::vision::bits::BitImage;
+use crate::vision::decode::{Decoder, Output};
+use crate::vision::graph::{self, Graph, Graphs};
+use crate::vision::thin::Thin;
+
+/// The stages of one camera and what they made of its last picture.
+pub struct Picture {
+    camera: CameraModel,
+    decoder: Decoder,
+    binarize: Binarize,
+    thin: Thin,
+    graphs: Graphs,
+    image_nodes: ImageNodes,
+    mask: BitImage,
+    skeleton: BitImage,
+    graph: Graph,
+}
+
+impl Picture {
+    pub(crate) fn new(
+        range: binarize::Params,
+        params: &Params,
+        camera: CameraModel,
+    ) -> Result<Self, binarize::ParamsError> {
+        let (width, height) = (camera.width, camera.height);
+        let binarize = Binarize::new(range, width, height)?;
+        let output = if binarize.needs_luma_only() { Output::Grey } else { Output::Rgb };
+        Ok(Self {
+            decoder: Decoder::new(output, width, height),
+            binarize,
+            thin: Thin::new(params.thin, width, height),
+            graphs: Graphs::new(params.graph.unwrap_or(graph::Params::for_size(width, height)), width, height),
+            image_nodes: ImageNodes::new(params.nodes),
+            mask: BitImage::new(width, height),
+            skeleton: BitImage::new(width, height),
+            graph: Graph::default(),
+            camera,
+        })
+    }
+
+    pub(crate) fn run(&mut self, frame: &Frame, side: Side, stages: &mut StageTimes) -> Result<(), Refusal> {
+        if (frame.width, frame.height) != (self.camera.width, self.camera.height) {
+            let (width, height) = (frame.width, frame.height);
+            let (rig_width, rig_height) = (self.camera.width, self.camera.height);
+            return Err(Refusal::Size { side, width, height, rig_width, rig_height });
+        }
+        let begin = Timestamp::now();
+        let raw = self.decoder.run(frame).map_err(|_| Refusal::Damaged { side })?;
+        let decoded = Timestamp::now();
+        self.binarize.run(raw, &mut self.mask).map_err(|reason| Refusal::Binarize { side, reason })?;
+        let binary = Timestamp::now();
+        self.thin.run(&self.mask, &mut self.skeleton);
+        let thinned = Timestamp::now();
+        self.graphs
+            .run(&self.skeleton, &self.mask, Some(raw), &mut self.graph)
+            .map_err(|reason| Refusal::Graph { side, reason })?;
+        self.image_nodes.run(&self.graph, &self.camera);
+        let done = Timestamp::now();
+        let ns = |from: Timestamp, to: Timestamp| to.since(from).max(0) as u64;
+        stages.decode_ns += ns(begin, decoded);
+        stages.binarize_ns += ns(decoded, binary);
+        stages.thin_ns += ns(binary, thinned);
+        stages.graph_ns += ns(thinned, done);
+        Ok(())
+    }
+
+    /// The binary picture, without specks.
+    pub fn mask(&self) -> &BitImage {
+        &self.mask
+    }
+
+    /// The skeleton of the mask, before spurs are cut.
+    pub fn skeleton(&self) -> &BitImage {
+        &self.skeleton
+    }
+
+    /// Nodes and edges.
+    pub fn graph(&self) -> &Graph {
+        &self.graph
+    }
+
+    /// Nodes with the bends of edges among them.
+    pub fn nodes(&self) -> &[ImageNode] {
+        self.image_nodes.nodes()
+    }
+
+    /// The uncompressed picture of `frame`, which must be the one of the last run.
+    pub(crate) fn raw<'a>(&'a self, frame: &'a Frame) -> &'a Frame {
+        if frame.format == PixelFormat::Mjpeg { self.decoder.raw() } else { frame }
+    }
+}

@@ -1,0 +1,105 @@
+//! What pose estimation needs of a part, worked out once: points along its centreline and its free ends.
+
+use nalgebra::{Point3, Vector3};
+
+use crate::part::Part;
+
+/// Distance between two points of the centreline, in thicknesses.
+const STEP_THICKNESSES: f64 = 1.0;
+
+/// A point of the centreline at which the wire's place in the pictures is measured.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Station {
+    /// Place in the part's frame.
+    pub position_mm: Point3<f64>,
+    /// Unit direction of the wire there, in the part's frame.
+    pub tangent: Vector3<f64>,
+    /// Index of the part's edge.
+    pub edge: usize,
+    /// Length of centreline this station stands for.
+    pub length_mm: f64,
+    /// Whether another wire of the part joins so near that the section across is not that of one wire.
+    pub at_joint: bool,
+}
+
+/// A free end of the part.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FreeEnd {
+    /// Index of the part's node.
+    pub node: usize,
+    /// Place in the part's frame.
+    pub position_mm: Point3<f64>,
+    /// Unit direction out of the part.
+    pub outward: Vector3<f64>,
+}
+
+/// A part as pose estimation sees it.
+#[derive(Clone, Debug)]
+pub struct PoseModel {
+    /// Points along the centreline.
+    pub stations: Vec<Station>,
+    /// Nodes with one edge.
+    pub ends: Vec<FreeEnd>,
+    /// Radius of the wire.
+    pub radius_mm: f64,
+    /// Length of all wire.
+    pub length_mm: f64,
+    /// Middle of the stations: the point that rotations turn about.
+    pub centre_mm: Point3<f64>,
+    /// For a straight part its direction; it has no angle about that.
+    pub straight_along: Option<Vector3<f64>>,
+}
+
+impl PoseModel {
+    /// Works out the stations of `part`.
+    pub fn new(part: &Part) -> Self {
+        let radius_mm = part.thickness_mm / 2.0;
+        let step_mm = part.thickness_mm * STEP_THICKNESSES;
+        let joints: Vec<Point3<f64>> =
+            (0..part.nodes.len()).filter(|&n| part.degree(n) > 1).map(|n| part.nodes[n].position_mm).collect();
+        let mut stations = Vec::new();
+        for edge in 0..part.edges.len() {
+            let line = part.centreline(edge, step_mm);
+            for pair in line.windows(2) {
+                let position_mm = nalgebra::center(&pair[0].position_mm, &pair[1].position_mm);
+                let along = pair[1].position_mm - pair[0].position_mm;
+                let length_mm = along.norm();
+                if length_mm < 1e-9 {
+                    continue;
+                }
+                stations.push(Station {
+                    position_mm,
+                    tangent: along / length_mm,
+                    edge,
+                    length_mm,
+                    at_joint: joints.iter().any(|j| (position_mm - j).norm() < 1.6 * part.thickness_mm),
+                });
+            }
+        }
+        let length_mm = stations.iter().map(|s| s.length_mm).sum();
+        let centre = stations.iter().map(|s| s.position_mm.coords * s.length_mm).sum::<Vector3<f64>>() / length_mm;
+        Self {
+            ends: free_ends(part, step_mm),
+            straight_along: part.is_straight().then(|| stations[0].tangent),
+            stations,
+            radius_mm,
+            length_mm,
+            centre_mm: centre.into(),
+        }
+    }
+}
+
+fn free_ends(part: &Part, step_mm: f64) -> Vec<FreeEnd> {
+    let mut ends = Vec::new();
+    for (index, edge) in part.edges.iter().enumerate() {
+        let line = part.centreline(index, step_mm);
+        let (first, last) = (&line[0], &line[line.len() - 1]);
+        if part.degree(edge.from) == 1 {
+            ends.push(FreeEnd { node: edge.from, position_mm: first.position_mm, outward: -first.tangent.into_inner() });
+        }
+        if part.degree(edge.to) == 1 {
+            ends.push(FreeEnd { node: edge.to, position_mm: last.position_mm, outward: last.tangent.into_inner() });
+        }
+    }
+    ends
+}

@@ -1,0 +1,600 @@
+//! Recognition: a pair of pictures in, ranked grasps out. Composes the stages; each is a library of its own.
+//!
+//! Nothing is kept from one pair to the next. After the first pairs nothing is allocated, except by the JPEG decoder.
+
+use nalgebra::{Isometry3, Point3, Vector2, Vector3};
+
+use crate::frame::{FramePair, LumaView};
+use crate::grasp::{self, Blocked, Grasp, Placed};
+use crate::matching::exhaustive::{self, Exhaustive};
+use crate::matching::fitness::{Judge, Weights};
+use crate::matching::hypotheses::{self, Hypothesis, SingleParams};
+use crate::matching::nodes;
+use crate::matching::problem::{Gate, GateParams, MatchModel};
+use crate::matching::select::{self, ClaimMap};
+use crate::part::Part;
+use crate::picture::Picture;
+use crate::pose::model::PoseModel;
+use crate::pose::refine::{self, Fit, Refine, View};
+use crate::pose::section::Profiler;
+use crate::pose::verify::{Stop, Verdict, verify};
+use crate::rig::Rig;
+use crate::time::{Budget, Timestamp};
+use crate::vision::{binarize, graph, thin};
+
+/// What recognition is told.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Params {
+    /// Which pixels are object, left and right; they may differ in their regions.
+    pub binarize: [binarize::Params; 2],
+    /// How masks are thinned.
+    pub thin: thin::Params,
+    /// Limits of the graphs; `None`: the default for the size.
+    pub graph: Option<graph::Params>,
+    /// How bends are found.
+    pub nodes: nodes::Params,
+    /// Which image nodes may show the same point.
+    pub gate: GateParams,
+    /// Weights of the fitness terms.
+    pub weights: Weights,
+    /// Limits of the exact search; its `fitness_max` is the threshold for all searches.
+    pub search: exhaustive::Params,
+    /// What single nodes need to hold a pose.
+    pub single: SingleParams,
+    /// How poses are refined.
+    pub refine: refine::Params,
+    /// Steepest slope of a straight piece of wire against the level, radians.
+    pub slope_rad_max: f64,
+    /// When an explanation stands.
+    pub select: select::Params,
+    /// What limits the grasps.
+    pub grasp: grasp::Params,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Self {
+            binarize: Default::default(),
+            thin: Default::default(),
+            graph: None,
+            nodes: Default::default(),
+            gate: Default::default(),
+            weights: Default::default(),
+            search: Default::default(),
+            single: Default::default(),
+            refine: Default::default(),
+            slope_rad_max: 50f64.to_radians(),
+            select: Default::default(),
+            grasp: Default::default(),
+        }
+    }
+}
+
+/// Why a pair was not recognised at all.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Refusal {
+    /// A picture's size is not the calibration's.
+    #[error("{side} picture is {width}x{height}, the calibration is for {rig_width}x{rig_height}: set the camera's size or calibrate again")]
+    Size {
+        /// `left` or `right`.
+        side: Side,
+        /// Picture width.
+        width: usize,
+        /// Picture height.
+        height: usize,
+        /// The calibration's.
+        rig_width: usize,
+        /// The calibration's.
+        rig_height: usize,
+    },
+    /// A compressed picture that cannot be decoded.
+    #[error("{side} picture cannot be decoded: damaged, cut short or of another size")]
+    Damaged {
+        /// `left` or `right`.
+        side: Side,
+    },
+    /// The frame's bytes are not those of its format and size.
+    #[error("{side} picture: {reason}")]
+    Binarize {
+        /// `left` or `right`.
+        side: Side,
+        /// Why.
+        reason: binarize::Refusal,
+    },
+    /// The picture shows too much.
+    #[error("{side} picture: {reason}")]
+    Graph {
+        /// `left` or `right`.
+        side: Side,
+        /// Why.
+        reason: graph::Refusal,
+    },
+}
+
+/// One of the two cameras.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Side {
+    /// The left one.
+    Left,
+    /// The right one.
+    Right,
+}
+
+impl std::fmt::Display for Side {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        f.write_str(if *self == Side::Left { "left" } else { "right" })
+    }
+}
+
+/// Why a pair gives no pick.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
+pub enum NoPick {
+    /// Nothing but floor.
+    #[error("bin empty")]
+    BinEmpty,
+    /// Something lies there, but no part was recognised.
+    #[error("nothing recognised")]
+    NothingRecognised,
+    /// Parts were recognised, none can be taken.
+    #[error("all blocked")]
+    AllBlocked,
+    /// The budget was spent before anything was found.
+    #[error("out of time")]
+    OutOfTime,
+}
+
+/// Which pictures show a node of a part.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Seen {
+    /// Both.
+    Both,
+    /// Only the left one.
+    Left,
+    /// Only the right one.
+    Right,
+    /// None: its place follows from the fitted model.
+    None,
+}
+
+/// A node of a recognised part.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FoundNode {
+    /// Place in the left camera's frame.
+    pub left_mm: Point3<f64>,
+    /// Its projection into the left picture (distorted pixels).
+    pub left_px: Vector2<f64>,
+    /// Its projection into the right picture.
+    pub right_px: Vector2<f64>,
+    /// Where an image node was found for it.
+    pub seen: Seen,
+}
+
+/// A recognised part.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FoundPart {
+    /// Index of the part.
+    pub part: usize,
+    /// Fitness of its match, see [`crate::matching::fitness`].
+    pub fitness: f64,
+    /// From the part's frame to the left camera's.
+    pub left_from_part: Isometry3<f64>,
+    /// Its nodes, in the part file's order.
+    pub nodes: Vec<FoundNode>,
+    /// How to take it.
+    pub grasp: Grasp,
+    /// Standard deviation of the grasp's position along the axes of its frame, mm.
+    pub sigma_mm: Vector3<f64>,
+    /// Standard deviation of the wire's direction at the grasp, radians.
+    pub sigma_axis_rad: f64,
+    /// Why it cannot be taken.
+    pub blocked: Option<Blocked>,
+    /// Iterations of the search that found it.
+    pub iterations: u64,
+    /// Share of its length that is seen with both outlines, the lesser of both pictures.
+    pub clear: f64,
+}
+
+/// Wall time of each stage in nanoseconds, both pictures together.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StageTimes {
+    /// Decompression.
+    pub decode_ns: u64,
+    /// Pixels to bits.
+    pub binarize_ns: u64,
+    /// Bits to skeletons.
+    pub thin_ns: u64,
+    /// Skeletons to graphs and nodes.
+    pub graph_ns: u64,
+    /// Search.
+    pub match_ns: u64,
+    /// Refinement, competition and grasps.
+    pub pose_ns: u64,
+    /// All of it.
+    pub total_ns: u64,
+}
+
+/// What a pair shows.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Recognition {
+    /// The parts, those that can be taken first, best first.
+    pub parts: Vec<FoundPart>,
+    /// Why nothing can be taken; `None` where something can.
+    pub no_pick: Option<NoPick>,
+    /// Nodes of the left picture's graph.
+    pub nodes_left: usize,
+    /// Nodes of the right picture's graph.
+    pub nodes_right: usize,
+    /// The random seed that was used.
+    pub seed: u64,
+    /// Iterations of all searches.
+    pub iterations: u64,
+    /// Whether the budget was spent before the search was through.
+    pub out_of_time: bool,
+    /// How long each stage took.
+    pub stages: StageTimes,
+}
+
+/// A part and all that is worked out of it beforehand.
+struct Prepared {
+    part: Part,
+    pose_model: PoseModel,
+    match_model: MatchModel,
+    stops: Vec<Stop>,
+}
+
+/// An explanation of some wire: a refined hypothesis.
+struct Explanation {
+    hypothesis: Hypothesis,
+    fit: Fit,
+    verdict: Verdict,
+    taken: bool,
+}
+
+/// Most hypotheses and explanations of a pair.
+const HYPOTHESES_MAX: usize = 4096;
+const EXPLANATIONS_MAX: usize = 256;
+const PARTS_MAX: usize = 128;
+
+/// The whole recognition with all its memory.
+pub struct Recognizer {
+    params: Params,
+    rig: Rig,
+    parts: Vec<Prepared>,
+    pictures: [Picture; 2],
+    gate: Gate,
+    exhaustive: Exhaustive,
+    pool: Vec<Hypothesis>,
+    refine: Refine,
+    explanations: Vec<Explanation>,
+    explained: usize,
+    claims: [ClaimMap; 2],
+    widths: Vec<f64>,
+}
+
+impl Recognizer {
+    /// Reserves all memory for pictures of the calibration's size.
+    ///
+    /// # Errors
+    /// Where the colour range or the region cannot be used.
+    pub fn new(params: Params, rig: Rig, parts: Vec<Part>) -> Result<Self, binarize::ParamsError> {
+        let [left, right] = params.binarize.clone();
+        let picture = |b, camera: &crate::rig::CameraModel| Picture::new(b, &params, camera.clone());
+        let pictures = [picture(left, &rig.left)?, picture(right, &rig.right)?];
+        let claims = [&rig.left, &rig.right].map(|c| ClaimMap::new(c.width, c.height));
+        let parts = parts.into_iter().map(Prepared::new).collect();
+        Ok(Self {
+            gate: Gate::new(params.gate),
+            exhaustive: Exhaustive::new(params.search),
+            pool: Vec::with_capacity(HYPOTHESES_MAX),
+            refine: Refine::new(params.refine, &rig),
+            explanations: Vec::with_capacity(EXPLANATIONS_MAX),
+            explained: 0,
+            claims,
+            widths: Vec::with_capacity(1024),
+            pictures,
+            params,
+            rig,
+            parts,
+        })
+    }
+
+    /// The rig.
+    pub fn rig(&self) -> &Rig {
+        &self.rig
+    }
+
+    /// The parts, in the order of [`FoundPart::part`].
+    pub fn parts(&self) -> impl ExactSizeIterator<Item = &Part> {
+        self.parts.iter().map(|p| &p.part)
+    }
+
+    /// What the stages made of the last pair: left, right.
+    pub fn pictures(&self) -> &[Picture; 2] {
+        &self.pictures
+    }
+
+    /// Recognises a pair.
+    ///
+    /// # Errors
+    /// [`Refusal`] where the pictures cannot be used; `out` is empty then.
+    pub fn run(&mut self, pair: &FramePair, budget: Budget, seed: u64, out: &mut Recognition) -> Result<(), Refusal> {
+        let begin = Timestamp::now();
+        out.parts.clear();
+        *out = Recognition { parts: std::mem::take(&mut out.parts), seed, ..Recognition::default() };
+        let mut stages = StageTimes::default();
+        for (picture, frame, side) in [(0, &pair.left, Side::Left), (1, &pair.right, Side::Right)] {
+            self.pictures[picture].run(frame, side, &mut stages)?;
+        }
+        let nodes = |p: &Picture| p.graph().nodes.len();
+        (out.nodes_left, out.nodes_right) = (nodes(&self.pictures[0]), nodes(&self.pictures[1]));
+        let seen = Timestamp::now();
+        self.search(budget, out);
+        let matched = Timestamp::now();
+        self.explain(pair);
+        self.compete(out);
+        self.grasp(out);
+        out.no_pick = self.no_pick(out);
+        let end = Timestamp::now();
+        stages.match_ns = matched.since(seen).max(0) as u64;
+        stages.pose_ns = end.since(matched).max(0) as u64;
+        stages.total_ns = end.since(begin).max(0) as u64;
+        out.stages = stages;
+        Ok(())
+    }
+
+    /// Fills the pool with rough poses of all parts, fittest first.
+    fn search(&mut self, budget: Budget, out: &mut Recognition) {
+        let Self { pictures, rig, parts, gate, exhaustive, pool, params, .. } = self;
+        let [left, right] = [pictures[0].nodes(), pictures[1].nodes()];
+        pool.clear();
+        let thickness = parts.iter().map(|p| p.part.thickness_mm);
+        let thickness_mm = [thickness.clone().fold(f64::INFINITY, f64::min), thickness.fold(0.0, f64::max)];
+        gate.run(rig, left, right, thickness_mm);
+        for (index, prepared) in parts.iter().enumerate() {
+            let judge = Judge {
+                rig,
+                masks: [pictures[0].mask(), pictures[1].mask()],
+                model: &prepared.match_model,
+                weights: params.weights,
+            };
+            exhaustive.run(&judge, gate.nodes(), left, right, budget.less(out.iterations));
+            out.iterations += exhaustive.steps();
+            out.out_of_time |= !exhaustive.is_complete();
+            for found in exhaustive.matches() {
+                if pool.len() < HYPOTHESES_MAX {
+                    pool.extend(hypotheses::of_match(index, &prepared.match_model, found, gate.nodes()));
+                }
+            }
+            for (n, node) in gate.nodes().iter().enumerate() {
+                hypotheses::of_single_node(&params.single, index, &judge, rig, n, node, left, right, pool);
+            }
+        }
+        let down = grasp::down_in_left(&params.grasp);
+        let slope_sin_max = params.slope_rad_max.sin();
+        pool.retain(|h| parts[h.part].slope_sin(&h.left_from_part, &down) <= slope_sin_max);
+        pool.sort_unstable_by(|a, b| a.fitness.total_cmp(&b.fitness));
+    }
+
+    /// Refines and judges the hypotheses, each pose once.
+    fn explain(&mut self, pair: &FramePair) {
+        self.explained = 0;
+        let Self { pictures, rig, parts, pool, refine, explanations, explained, widths, params, .. } = self;
+        let Some(views) = views(pictures, rig, pair, params) else { return };
+        let down = grasp::down_in_left(&params.grasp);
+        let slope_sin_max = params.slope_rad_max.sin();
+        for hypothesis in pool.iter() {
+            let prepared = &parts[hypothesis.part];
+            let known = explanations[..*explained].iter().any(|e| {
+                e.hypothesis.part == hypothesis.part
+                    && prepared.distance_mm(&e.fit.left_from_part, &hypothesis.left_from_part) < 5.0
+            });
+            if known || *explained == EXPLANATIONS_MAX {
+                continue;
+            }
+            let Some(fit) = refine.run(&prepared.pose_model, &hypothesis.left_from_part, &views) else { continue };
+            if prepared.slope_sin(&fit.left_from_part, &down) > slope_sin_max {
+                continue;
+            }
+            let same = explanations[..*explained].iter().any(|e| {
+                e.hypothesis.part == hypothesis.part
+                    && prepared.distance_mm(&e.fit.left_from_part, &fit.left_from_part) < 2.0
+            });
+            if same {
+                continue;
+            }
+            if *explained == explanations.len() {
+                explanations.push(Explanation {
+                    hypothesis: *hypothesis,
+                    fit,
+                    verdict: Verdict::default(),
+                    taken: false,
+                });
+            }
+            let explanation = &mut explanations[*explained];
+            (explanation.hypothesis, explanation.fit, explanation.taken) = (*hypothesis, fit, false);
+            verify(
+                refine,
+                &prepared.pose_model,
+                &prepared.stops,
+                &fit.left_from_part,
+                &views,
+                widths,
+                &mut explanation.verdict,
+            );
+            *explained += 1;
+        }
+    }
+
+    /// Lets the explanations compete for the wire.
+    fn compete(&mut self, out: &mut Recognition) {
+        self.claims.iter_mut().for_each(ClaimMap::clear);
+        while out.parts.len() < PARTS_MAX {
+            let best = self.explanations[..self.explained]
+                .iter()
+                .enumerate()
+                .filter(|(_, e)| !e.taken)
+                .filter_map(|(i, e)| {
+                    let model = &self.parts[e.hypothesis.part].pose_model;
+                    Some((i, select::worth_mm(&self.params.select, model, &e.verdict, &self.claims)?))
+                })
+                .max_by(|a, b| a.1.total_cmp(&b.1));
+            let Some((index, worth_mm)) = best else { return };
+            if worth_mm <= 0.0 {
+                return;
+            }
+            self.explanations[index].taken = true;
+            let explanation = &self.explanations[index];
+            for piece in &explanation.verdict.pieces {
+                self.claims[0].claim(&piece[0]);
+                self.claims[1].claim(&piece[1]);
+            }
+            let found = self.found(explanation, out.iterations);
+            out.parts.push(found);
+        }
+    }
+
+    fn found(&self, e: &Explanation, iterations: u64) -> FoundPart {
+        let prepared = &self.parts[e.hypothesis.part];
+        let pose = e.fit.left_from_part;
+        let placed = prepared.placed(&pose, 0.0);
+        let grasp = grasp::grasp_of(&self.params.grasp, &placed);
+        let (sigma_mm, sigma_axis_rad) = sigmas(&self.params.grasp, prepared, &e.fit);
+        let nodes = prepared.part.nodes.iter().enumerate().map(|(n, node)| {
+            let left_mm = pose * node.position_mm;
+            let anchor = prepared.match_model.anchors.iter().position(|a| a.node == Some(n));
+            let matched = anchor.is_some_and(|a| e.hypothesis.nodes[a] != crate::matching::fitness::UNMATCHED);
+            FoundNode {
+                left_mm,
+                left_px: self.rig.project_left(&left_mm).unwrap_or_default(),
+                right_px: self.rig.project_right(&left_mm).unwrap_or_default(),
+                seen: if matched { Seen::Both } else { Seen::None },
+            }
+        });
+        FoundPart {
+            part: e.hypothesis.part,
+            fitness: e.hypothesis.fitness,
+            left_from_part: pose,
+            nodes: nodes.collect(),
+            grasp,
+            sigma_mm,
+            sigma_axis_rad,
+            blocked: None,
+            iterations,
+            clear: e.verdict.clear[0].min(e.verdict.clear[1]),
+        }
+    }
+
+    /// Finds what is blocked and ranks.
+    fn grasp(&self, out: &mut Recognition) {
+        let placed: Vec<Placed> = out
+            .parts
+            .iter()
+            .map(|f| self.parts[f.part].placed(&f.left_from_part, f.sigma_mm.max()))
+            .collect();
+        let verdicts: Vec<Option<Blocked>> =
+            (0..placed.len()).map(|i| grasp::blocked(&self.params.grasp, &placed, i, &out.parts[i].grasp)).collect();
+        drop(placed);
+        for (found, blocked) in out.parts.iter_mut().zip(verdicts) {
+            found.blocked = blocked;
+        }
+        let rank = |f: &FoundPart| match f.blocked {
+            None => 0,
+            Some(Blocked::Covered) => 2,
+            Some(_) => 1,
+        };
+        out.parts.sort_by(|a, b| rank(a).cmp(&rank(b)).then(b.clear.total_cmp(&a.clear)));
+    }
+
+    fn no_pick(&self, out: &Recognition) -> Option<NoPick> {
+        if out.parts.iter().any(|p| p.blocked.is_none()) {
+            return None;
+        }
+        Some(if !out.parts.is_empty() {
+            NoPick::AllBlocked
+        } else if out.out_of_time {
+            NoPick::OutOfTime
+        } else if self.pictures.iter().all(|p| p.graph().edges.is_empty()) {
+            NoPick::BinEmpty
+        } else {
+            NoPick::NothingRecognised
+        })
+    }
+}
+
+fn views<'a>(pictures: &'a [Picture; 2], rig: &'a Rig, pair: &'a FramePair, params: &Params) -> Option<[View<'a>; 2]> {
+    let view = |picture: &'a Picture, frame, camera, camera_from_left, inverted| {
+        Some(View {
+            camera,
+            camera_from_left,
+            profiler: Profiler::new(LumaView::new(picture.raw(frame))?, inverted, CONTRAST_MIN),
+            mask: picture.mask(),
+        })
+    };
+    Some([
+        view(&pictures[0], &pair.left, &rig.left, Isometry3::identity(), params.binarize[0].inverted)?,
+        view(&pictures[1], &pair.right, &rig.right, rig.right_from_left, params.binarize[1].inverted)?,
+    ])
+}
+
+/// Grey levels between wire and background from which an outline is believed.
+const CONTRAST_MIN: f64 = 12.0;
+
+/// Standard deviations of the grasp's position (along the output frame's axes) and of the wire's direction there.
+fn sigmas(params: &grasp::Params, prepared: &Prepared, fit: &Fit) -> (Vector3<f64>, f64) {
+    let pose = &fit.left_from_part;
+    let arm = pose * prepared.part.grasp.position_mm - pose * prepared.pose_model.centre_mm;
+    let shift = fit.covariance.fixed_view::<3, 3>(0, 0);
+    let turn = fit.covariance.fixed_view::<3, 3>(3, 3);
+    let mixed = fit.covariance.fixed_view::<3, 3>(0, 3);
+    let lever = -arm.cross_matrix();
+    let position = shift + lever * turn * lever.transpose() + mixed * lever.transpose() + lever * mixed.transpose();
+    let rotation = params.base_from_left.unwrap_or_default().rotation.to_rotation_matrix();
+    let turned = rotation.matrix() * position * rotation.matrix().transpose();
+    let wire = pose * prepared.part.grasp.approach.cross(&prepared.part.grasp.closing);
+    let across = wire.cross_matrix();
+    let axis = across * turn * across.transpose();
+    (turned.diagonal().map(|v| v.max(0.0).sqrt()), (axis.trace() / 2.0).max(0.0).sqrt())
+}
+
+impl Prepared {
+    fn new(part: Part) -> Self {
+        let pose_model = PoseModel::new(&part);
+        let match_model = MatchModel::new(&part);
+        let stops = stops_of(&match_model);
+        Self { part, pose_model, match_model, stops }
+    }
+
+    fn placed<'a>(&'a self, left_from_part: &'a Isometry3<f64>, sigma_mm: f64) -> Placed<'a> {
+        Placed { part: &self.part, model: &self.pose_model, left_from_part, sigma_mm }
+    }
+
+    /// Sine of the steepest slope of its straight pieces.
+    fn slope_sin(&self, left_from_part: &Isometry3<f64>, down: &Vector3<f64>) -> f64 {
+        let slope = |leg: &(Vector3<f64>, f64)| (left_from_part * leg.0).dot(down).abs();
+        self.match_model.anchors.iter().flat_map(|a| a.legs.iter().map(slope)).fold(0.0, f64::max)
+    }
+
+    /// Mean distance of the part's nodes and bends between two poses, under the symmetry that makes it least.
+    fn distance_mm(&self, a: &Isometry3<f64>, b: &Isometry3<f64>) -> f64 {
+        let anchors = &self.match_model.anchors;
+        let mean = |turn: &Isometry3<f64>| {
+            let b = b * turn;
+            anchors.iter().map(|p| (a * p.position_mm - b * p.position_mm).norm()).sum::<f64>() / anchors.len() as f64
+        };
+        self.part.symmetries.iter().map(|s| mean(&s.part_from_part)).fold(mean(&Isometry3::identity()), f64::min)
+    }
+}
+
+/// Where the wire of a part stops or turns away.
+fn stops_of(model: &MatchModel) -> Vec<Stop> {
+    let mut stops = Vec::new();
+    for anchor in &model.anchors {
+        for (leg, _) in &anchor.legs {
+            let goes_on = anchor.legs.iter().any(|(other, _)| other.dot(leg) < -0.9);
+            if !goes_on {
+                stops.push(Stop { position_mm: anchor.position_mm, onward: -leg });
+            }
+        }
+    }
+    stops
+}
