@@ -158,7 +158,8 @@ pub fn blocked(params: &Params, all: &[Placed], index: usize, grasp: &Grasp) -> 
             grasp.position_mm - approach * gripper.approach_mm,
             grasp.position_mm + Vector3::z() * gripper.retreat_mm,
         ];
-        let inside = |p: &Point3<f64>| (0..3).all(|k| (workspace.min_mm[k]..=workspace.max_mm[k]).contains(&p[k]));
+        let inside =
+            |p: &Point3<f64>| (0..3).all(|k| (workspace.min_mm[k]..=workspace.max_mm[k]).contains(&p[k]));
         if !reached.iter().all(inside) {
             return Some(Blocked::OutsideWorkspace);
         }
@@ -166,7 +167,9 @@ pub fn blocked(params: &Params, all: &[Placed], index: usize, grasp: &Grasp) -> 
     if params.axes != ArmAxes::Pose && grasp.tilt_rad > params.tilt_tolerance_rad {
         return Some(Blocked::ArmCannotTilt);
     }
-    if params.axes == ArmAxes::Xyz && yaw_off_rad(grasp, gripper.closing_yaw_deg.to_radians()) > params.yaw_tolerance_rad {
+    if params.axes == ArmAxes::Xyz
+        && yaw_off_rad(grasp, gripper.closing_yaw_deg.to_radians()) > params.yaw_tolerance_rad
+    {
         return Some(Blocked::ArmCannotTurn);
     }
     if all.iter().enumerate().any(|(k, other)| k != index && lies_over(params, other, &all[index])) {

@@ -37,7 +37,11 @@ impl Picture {
             decoder: Decoder::new(output, width, height),
             binarize,
             thin: Thin::new(params.thin, width, height),
-            graphs: Graphs::new(params.graph.unwrap_or(graph::Params::for_size(width, height)), width, height),
+            graphs: Graphs::new(
+                params.graph.unwrap_or(graph::Params::for_size(width, height)),
+                width,
+                height,
+            ),
             image_nodes: ImageNodes::new(params.nodes),
             mask: BitImage::new(width, height),
             skeleton: BitImage::new(width, height),

@@ -74,7 +74,9 @@ impl Default for Params {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Refusal {
     /// A picture's size is not the calibration's.
-    #[error("{side} picture is {width}x{height}, the calibration is for {rig_width}x{rig_height}: set the camera's size or calibrate again")]
+    #[error(
+        "{side} picture is {width}x{height}, the calibration is for {rig_width}x{rig_height}: set the camera's size or calibrate again"
+    )]
     Size {
         /// `left` or `right`.
         side: Side,
@@ -317,7 +319,13 @@ impl Recognizer {
     ///
     /// # Errors
     /// [`Refusal`] where the pictures cannot be used; `out` is empty then.
-    pub fn run(&mut self, pair: &FramePair, budget: Budget, seed: u64, out: &mut Recognition) -> Result<(), Refusal> {
+    pub fn run(
+        &mut self,
+        pair: &FramePair,
+        budget: Budget,
+        seed: u64,
+        out: &mut Recognition,
+    ) -> Result<(), Refusal> {
         let begin = Timestamp::now();
         out.parts.clear();
         *out = Recognition { parts: std::mem::take(&mut out.parts), seed, ..Recognition::default() };
@@ -391,7 +399,9 @@ impl Recognizer {
             if known || *explained == EXPLANATIONS_MAX {
                 continue;
             }
-            let Some(fit) = refine.run(&prepared.pose_model, &hypothesis.left_from_part, &views) else { continue };
+            let Some(fit) = refine.run(&prepared.pose_model, &hypothesis.left_from_part, &views) else {
+                continue;
+            };
             if prepared.slope_sin(&fit.left_from_part, &down) > slope_sin_max {
                 continue;
             }
@@ -462,7 +472,8 @@ impl Recognizer {
         let nodes = prepared.part.nodes.iter().enumerate().map(|(n, node)| {
             let left_mm = pose * node.position_mm;
             let anchor = prepared.match_model.anchors.iter().position(|a| a.node == Some(n));
-            let matched = anchor.is_some_and(|a| e.hypothesis.nodes[a] != crate::matching::fitness::UNMATCHED);
+            let matched =
+                anchor.is_some_and(|a| e.hypothesis.nodes[a] != crate::matching::fitness::UNMATCHED);
             FoundNode {
                 left_mm,
                 left_px: self.rig.project_left(&left_mm).unwrap_or_default(),
@@ -491,8 +502,9 @@ impl Recognizer {
             .iter()
             .map(|f| self.parts[f.part].placed(&f.left_from_part, f.sigma_mm.max()))
             .collect();
-        let verdicts: Vec<Option<Blocked>> =
-            (0..placed.len()).map(|i| grasp::blocked(&self.params.grasp, &placed, i, &out.parts[i].grasp)).collect();
+        let verdicts: Vec<Option<Blocked>> = (0..placed.len())
+            .map(|i| grasp::blocked(&self.params.grasp, &placed, i, &out.parts[i].grasp))
+            .collect();
         drop(placed);
         for (found, blocked) in out.parts.iter_mut().zip(verdicts) {
             found.blocked = blocked;
@@ -521,7 +533,12 @@ impl Recognizer {
     }
 }
 
-fn views<'a>(pictures: &'a [Picture; 2], rig: &'a Rig, pair: &'a FramePair, params: &Params) -> Option<[View<'a>; 2]> {
+fn views<'a>(
+    pictures: &'a [Picture; 2],
+    rig: &'a Rig,
+    pair: &'a FramePair,
+    params: &Params,
+) -> Option<[View<'a>; 2]> {
     let view = |picture: &'a Picture, frame, camera, camera_from_left, inverted| {
         Some(View {
             camera,
@@ -547,7 +564,8 @@ fn sigmas(params: &grasp::Params, prepared: &Prepared, fit: &Fit) -> (Vector3<f6
     let turn = fit.covariance.fixed_view::<3, 3>(3, 3);
     let mixed = fit.covariance.fixed_view::<3, 3>(0, 3);
     let lever = -arm.cross_matrix();
-    let position = shift + lever * turn * lever.transpose() + mixed * lever.transpose() + lever * mixed.transpose();
+    let position =
+        shift + lever * turn * lever.transpose() + mixed * lever.transpose() + lever * mixed.transpose();
     let rotation = params.base_from_left.unwrap_or_default().rotation.to_rotation_matrix();
     let turned = rotation.matrix() * position * rotation.matrix().transpose();
     let wire = pose * prepared.part.grasp.approach.cross(&prepared.part.grasp.closing);
@@ -579,9 +597,14 @@ impl Prepared {
         let anchors = &self.match_model.anchors;
         let mean = |turn: &Isometry3<f64>| {
             let b = b * turn;
-            anchors.iter().map(|p| (a * p.position_mm - b * p.position_mm).norm()).sum::<f64>() / anchors.len() as f64
+            anchors.iter().map(|p| (a * p.position_mm - b * p.position_mm).norm()).sum::<f64>()
+                / anchors.len() as f64
         };
-        self.part.symmetries.iter().map(|s| mean(&s.part_from_part)).fold(mean(&Isometry3::identity()), f64::min)
+        self.part
+            .symmetries
+            .iter()
+            .map(|s| mean(&s.part_from_part))
+            .fold(mean(&Isometry3::identity()), f64::min)
     }
 }
 

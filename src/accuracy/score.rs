@@ -126,11 +126,16 @@ impl Score {
 
     /// A row of a table in Markdown.
     pub fn row(&self, name: &str) -> String {
-        let share = |a: usize, b: usize| if b == 0 { "-".into() } else { format!("{:.3}", a as f64 / b as f64) };
+        let share =
+            |a: usize, b: usize| if b == 0 { "-".into() } else { format!("{:.3}", a as f64 / b as f64) };
         let two = |v: &[f64]| format!("{:.2} · {:.2}", percentile(v, 0.5), percentile(v, 0.95));
         let within = |limit: f64| {
             let n = self.sigmas.iter().filter(|s| **s <= limit).count();
-            if self.sigmas.is_empty() { "-".into() } else { format!("{:.0} %", 100.0 * n as f64 / self.sigmas.len() as f64) }
+            if self.sigmas.is_empty() {
+                "-".into()
+            } else {
+                format!("{:.0} %", 100.0 * n as f64 / self.sigmas.len() as f64)
+            }
         };
         let height = self.height_mm.iter().sum::<f64>() / self.height_mm.len().max(1) as f64;
         format!(

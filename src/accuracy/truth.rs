@@ -113,7 +113,9 @@ pub enum TruthError {
         source: serde_json::Error,
     },
     /// A folder without scenes.
-    #[error("{0} holds no scenes: expected sets/<set>/scene-NN/truth.json or truth/NNNN.json with left/ and right/")]
+    #[error(
+        "{0} holds no scenes: expected sets/<set>/scene-NN/truth.json or truth/NNNN.json with left/ and right/"
+    )]
     Empty(PathBuf),
 }
 
@@ -149,7 +151,8 @@ pub fn read_truth(path: &Path) -> Result<Truth, TruthError> {
 }
 
 fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, TruthError> {
-    let text = std::fs::read_to_string(path).map_err(|source| TruthError::Read { path: path.into(), source })?;
+    let text =
+        std::fs::read_to_string(path).map_err(|source| TruthError::Read { path: path.into(), source })?;
     serde_json::from_str(&text).map_err(|source| TruthError::Json { path: path.into(), source })
 }
 

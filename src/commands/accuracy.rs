@@ -79,7 +79,14 @@ fn run_set(args: &Accuracy, set: &SceneSet, folder: &Path) -> Result<Score, Box<
     Ok(score)
 }
 
-fn tell(set: &SceneSet, scene: &Scene, truth: &Truth, found: &Recognition, parts: &[Part], verdicts: &[Verdict]) {
+fn tell(
+    set: &SceneSet,
+    scene: &Scene,
+    truth: &Truth,
+    found: &Recognition,
+    parts: &[Part],
+    verdicts: &[Verdict],
+) {
     let name = format!("{}/{}", set.name, scene.name);
     for v in verdicts {
         let f = &found.parts[v.detection];

@@ -58,7 +58,14 @@ impl Exhaustive {
     }
 
     /// Finds the matches of the judge's part among `nodes`.
-    pub fn run(&mut self, judge: &Judge, nodes: &[StereoNode], left: &[ImageNode], right: &[ImageNode], budget: Budget) {
+    pub fn run(
+        &mut self,
+        judge: &Judge,
+        nodes: &[StereoNode],
+        left: &[ImageNode],
+        right: &[ImageNode],
+        budget: Budget,
+    ) {
         self.matches.clear();
         self.steps = 0;
         self.complete = true;
@@ -92,7 +99,13 @@ struct Tree<'a> {
 }
 
 impl Tree<'_> {
-    fn descend(&mut self, search: &mut Exhaustive, anchor: usize, chosen: &mut [u16; ANCHORS_MAX], cost: f64) {
+    fn descend(
+        &mut self,
+        search: &mut Exhaustive,
+        anchor: usize,
+        chosen: &mut [u16; ANCHORS_MAX],
+        cost: f64,
+    ) {
         let model = self.judge.model;
         if anchor == model.anchors.len() {
             self.finish(search, chosen);
@@ -141,7 +154,11 @@ impl Tree<'_> {
             if error > search.params.length_tolerance_mm {
                 return None;
             }
-            if model.anchors[anchor].legs.iter().any(|l| (l.1 - model.distance_mm(before, anchor)).abs() < 1e-9) {
+            if model.anchors[anchor]
+                .legs
+                .iter()
+                .any(|l| (l.1 - model.distance_mm(before, anchor)).abs() < 1e-9)
+            {
                 cost += error * self.judge.weights.length_3d_per_mm / model.spans.len() as f64;
             }
         }

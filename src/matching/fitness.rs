@@ -141,7 +141,9 @@ impl Judge<'_> {
         let (mut found, mut looked) = (0, 0);
         for k in 0..steps {
             let at = a + (b - a) * ((k as f64 + 0.5) / steps as f64);
-            for (px, mask) in [(self.rig.project_left(&at), self.masks[0]), (self.rig.project_right(&at), self.masks[1])] {
+            for (px, mask) in
+                [(self.rig.project_left(&at), self.masks[0]), (self.rig.project_right(&at), self.masks[1])]
+            {
                 looked += 1;
                 found += px.is_some_and(|p| mask.get(p.x.round() as i32, p.y.round() as i32)) as u32;
             }
@@ -179,7 +181,11 @@ pub struct MatchedPoint {
 
 impl MatchedPoint {
     /// Looks a stereo node up.
-    pub fn new(node: &StereoNode, left: &[super::nodes::ImageNode], right: &[super::nodes::ImageNode]) -> Self {
+    pub fn new(
+        node: &StereoNode,
+        left: &[super::nodes::ImageNode],
+        right: &[super::nodes::ImageNode],
+    ) -> Self {
         Self {
             point_mm: node.point_mm,
             left_px: left[node.left as usize].position_px,

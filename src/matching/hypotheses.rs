@@ -26,7 +26,12 @@ pub struct Hypothesis {
 }
 
 /// The pose that a match of nodes holds; `None` where too few are matched.
-pub fn of_match(part: usize, model: &MatchModel, found: &StereoMatch, nodes: &[StereoNode]) -> Option<Hypothesis> {
+pub fn of_match(
+    part: usize,
+    model: &MatchModel,
+    found: &StereoMatch,
+    nodes: &[StereoNode],
+) -> Option<Hypothesis> {
     let mut pairs = [(Point3::origin(), Point3::origin()); ANCHORS_MAX];
     let mut count = 0;
     for (anchor, &n) in model.anchors.iter().zip(&found.nodes).filter(|(_, n)| **n != UNMATCHED) {
@@ -77,7 +82,8 @@ pub fn of_single_node(
     pool: &mut Vec<Hypothesis>,
 ) {
     let mut legs = [SpaceLeg { direction: Vector3::zeros() }; SPACE_LEGS_MAX];
-    let count = space_legs(params, rig, node, &left[node.left as usize], &right[node.right as usize], &mut legs);
+    let count =
+        space_legs(params, rig, node, &left[node.left as usize], &right[node.right as usize], &mut legs);
     let legs = &legs[..count];
     for (a, anchor) in judge.model.anchors.iter().enumerate() {
         if !super::exhaustive::may_be(anchor.role, node.role) {
@@ -99,7 +105,11 @@ pub fn of_single_node(
         };
         if judge.model.straight {
             for leg in legs {
-                keep(motion_of_directions(&anchor.position_mm, &node.point_mm, &[(anchor.legs[0].0, leg.direction)]));
+                keep(motion_of_directions(
+                    &anchor.position_mm,
+                    &node.point_mm,
+                    &[(anchor.legs[0].0, leg.direction)],
+                ));
             }
         } else {
             for_leg_pairs(params, anchor, legs, |pairs| {

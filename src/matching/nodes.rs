@@ -155,7 +155,10 @@ impl ImageNodes {
             }
             // The middle of the stretch that turns, weighted by how much it turns.
             let (mut weight, mut sum, begin) = (0.0, 0.0, i);
-            while i + arm < chain.len() && i - begin <= 2 * arm && turn_at(i) >= 0.6 * self.params.bend_angle_rad_min {
+            while i + arm < chain.len()
+                && i - begin <= 2 * arm
+                && turn_at(i) >= 0.6 * self.params.bend_angle_rad_min
+            {
                 let w = turn_at(i).powi(2);
                 weight += w;
                 sum += w * i as f64;

@@ -30,7 +30,8 @@ pub fn rigid_motion(pairs: &[(Point3<f64>, Point3<f64>)]) -> Option<Isometry3<f6
 }
 
 fn half_turn(axis_to_reverse: &Vector3<f64>) -> UnitQuaternion<f64> {
-    let other = if axis_to_reverse.x.abs() < 0.9 * axis_to_reverse.norm() { Vector3::x() } else { Vector3::y() };
+    let other =
+        if axis_to_reverse.x.abs() < 0.9 * axis_to_reverse.norm() { Vector3::x() } else { Vector3::y() };
     let axis = nalgebra::Unit::new_normalize(axis_to_reverse.cross(&other));
     UnitQuaternion::from_axis_angle(&axis, std::f64::consts::PI)
 }

@@ -63,13 +63,23 @@ impl MatchModel {
             .nodes
             .iter()
             .enumerate()
-            .map(|(n, node)| Anchor { role: role(n), position_mm: node.position_mm, node: Some(n), legs: Vec::new() })
+            .map(|(n, node)| Anchor {
+                role: role(n),
+                position_mm: node.position_mm,
+                node: Some(n),
+                legs: Vec::new(),
+            })
             .collect();
         let mut spans = Vec::new();
         for edge in &part.edges {
             let mut previous = edge.from;
             for via in &edge.via {
-                anchors.push(Anchor { role: NodeRole::Bend, position_mm: *via, node: None, legs: Vec::new() });
+                anchors.push(Anchor {
+                    role: NodeRole::Bend,
+                    position_mm: *via,
+                    node: None,
+                    legs: Vec::new(),
+                });
                 spans.push((previous, anchors.len() - 1));
                 previous = anchors.len() - 1;
             }
@@ -199,7 +209,14 @@ impl Gate {
         }
     }
 
-    fn thickness_fits(&self, l: &ImageNode, r: &ImageNode, z_mm: f64, rig: &Rig, thickness_mm: [f64; 2]) -> bool {
+    fn thickness_fits(
+        &self,
+        l: &ImageNode,
+        r: &ImageNode,
+        z_mm: f64,
+        rig: &Rig,
+        thickness_mm: [f64; 2],
+    ) -> bool {
         let seen_mm = (l.half_thickness_px / rig.left.fx + r.half_thickness_px / rig.right.fx) * z_mm;
         let factor = self.params.thickness_factor_max;
         seen_mm == 0.0 || (thickness_mm[0] / factor..=thickness_mm[1] * factor).contains(&seen_mm)

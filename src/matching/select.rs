@@ -26,7 +26,14 @@ pub struct Params {
 
 impl Default for Params {
     fn default() -> Self {
-        Self { seen_min: 0.4, missing_max: 0.12, overrun_mm_max: 6.0, offset_px_max: 0.9, end_offset_px_max: 2.5, against: 3.0 }
+        Self {
+            seen_min: 0.4,
+            missing_max: 0.12,
+            overrun_mm_max: 6.0,
+            offset_px_max: 0.9,
+            end_offset_px_max: 2.5,
+            against: 3.0,
+        }
     }
 }
 
@@ -125,7 +132,12 @@ pub fn free_length_mm(model: &PoseModel, verdict: &Verdict, claims: &[ClaimMap; 
 }
 
 /// What an explanation is worth in mm of wire, given what is claimed; `None` where it does not stand.
-pub fn worth_mm(params: &Params, model: &PoseModel, verdict: &Verdict, claims: &[ClaimMap; 2]) -> Option<f64> {
+pub fn worth_mm(
+    params: &Params,
+    model: &PoseModel,
+    verdict: &Verdict,
+    claims: &[ClaimMap; 2],
+) -> Option<f64> {
     let missing = verdict.missing[0].max(verdict.missing[1]);
     if missing > params.missing_max
         || verdict.overrun_mm > params.overrun_mm_max

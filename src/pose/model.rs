@@ -55,8 +55,10 @@ impl PoseModel {
     pub fn new(part: &Part) -> Self {
         let radius_mm = part.thickness_mm / 2.0;
         let step_mm = part.thickness_mm * STEP_THICKNESSES;
-        let joints: Vec<Point3<f64>> =
-            (0..part.nodes.len()).filter(|&n| part.degree(n) > 1).map(|n| part.nodes[n].position_mm).collect();
+        let joints: Vec<Point3<f64>> = (0..part.nodes.len())
+            .filter(|&n| part.degree(n) > 1)
+            .map(|n| part.nodes[n].position_mm)
+            .collect();
         let mut stations = Vec::new();
         for edge in 0..part.edges.len() {
             let line = part.centreline(edge, step_mm);
@@ -77,7 +79,8 @@ impl PoseModel {
             }
         }
         let length_mm = stations.iter().map(|s| s.length_mm).sum();
-        let centre = stations.iter().map(|s| s.position_mm.coords * s.length_mm).sum::<Vector3<f64>>() / length_mm;
+        let centre =
+            stations.iter().map(|s| s.position_mm.coords * s.length_mm).sum::<Vector3<f64>>() / length_mm;
         Self {
             ends: free_ends(part, step_mm),
             straight_along: part.is_straight().then(|| stations[0].tangent),
@@ -95,10 +98,18 @@ fn free_ends(part: &Part, step_mm: f64) -> Vec<FreeEnd> {
         let line = part.centreline(index, step_mm);
         let (first, last) = (&line[0], &line[line.len() - 1]);
         if part.degree(edge.from) == 1 {
-            ends.push(FreeEnd { node: edge.from, position_mm: first.position_mm, outward: -first.tangent.into_inner() });
+            ends.push(FreeEnd {
+                node: edge.from,
+                position_mm: first.position_mm,
+                outward: -first.tangent.into_inner(),
+            });
         }
         if part.degree(edge.to) == 1 {
-            ends.push(FreeEnd { node: edge.to, position_mm: last.position_mm, outward: last.tangent.into_inner() });
+            ends.push(FreeEnd {
+                node: edge.to,
+                position_mm: last.position_mm,
+                outward: last.tangent.into_inner(),
+            });
         }
     }
     ends

@@ -7,7 +7,9 @@
 //! The outline of a lit round wire is not its silhouette: light from above leaves its flanks dark, so the middle
 //! between two outlines belongs to a point above the axis. [`Params::lift_radii`] says how far.
 
-use nalgebra::{Isometry3, Matrix2x3, Matrix6, Point3, Rotation3, RowVector3, Translation3, Vector2, Vector3, Vector6};
+use nalgebra::{
+    Isometry3, Matrix2x3, Matrix6, Point3, Rotation3, RowVector3, Translation3, Vector2, Vector3, Vector6,
+};
 
 use super::model::{PoseModel, Station};
 use super::section::{Profiler, Section, mask_run};
@@ -142,7 +144,12 @@ impl Refine {
         view: &View,
         search_px: f64,
     ) -> Option<Sighting> {
-        let aim = self.aim(model.radius_mm, &(left_from_part * station.position_mm), &(left_from_part * station.tangent), view)?;
+        let aim = self.aim(
+            model.radius_mm,
+            &(left_from_part * station.position_mm),
+            &(left_from_part * station.tangent),
+            view,
+        )?;
         Some(Sighting {
             section: view.profiler.across(aim.px, aim.across, aim.half_width_px, search_px),
             object: view.mask.get(aim.px.x.round() as i32, aim.px.y.round() as i32),
@@ -184,27 +191,43 @@ impl Refine {
             let (point, tangent) = (pose * station.position_mm, pose * station.tangent);
             for view in views {
                 let Some(aim) = self.aim(model.radius_mm, &point, &tangent, view) else { continue };
-                let Some((middle, width)) = mask_run(view.mask, aim.px, aim.across, search_px) else { continue };
+                let Some((middle, width)) = mask_run(view.mask, aim.px, aim.across, search_px) else {
+                    continue;
+                };
                 if width > 3.2 * aim.half_width_px + 1.0 {
                     continue;
                 }
-                self.push(aim.gradient(&aim.across, &(point - centre)), middle, 2.0 * self.params.section_sigma_px, 1.0);
+                self.push(
+                    aim.gradient(&aim.across, &(point - centre)),
+                    middle,
+                    2.0 * self.params.section_sigma_px,
+                    1.0,
+                );
             }
         }
         self.observe_ends(model, pose, views, search_px);
     }
 
-    fn observe_outlines(&mut self, model: &PoseModel, pose: &Isometry3<f64>, views: &[View; 2], search_px: f64) {
+    fn observe_outlines(
+        &mut self,
+        model: &PoseModel,
+        pose: &Isometry3<f64>,
+        views: &[View; 2],
+        search_px: f64,
+    ) {
         self.observations.clear();
         let centre = pose * model.centre_mm;
         for station in model.stations.iter().filter(|s| !s.at_joint) {
             let (point, tangent) = (pose * station.position_mm, pose * station.tangent);
             for view in views {
                 let Some(aim) = self.aim(model.radius_mm, &point, &tangent, view) else { continue };
-                let Some(section) = view.profiler.across(aim.px, aim.across, aim.half_width_px, search_px) else {
+                let Some(section) = view.profiler.across(aim.px, aim.across, aim.half_width_px, search_px)
+                else {
                     continue;
                 };
-                let Some((middle, sigma)) = self.middle_of(&section, aim.half_width_px, search_px) else { continue };
+                let Some((middle, sigma)) = self.middle_of(&section, aim.half_width_px, search_px) else {
+                    continue;
+                };
                 self.push(aim.gradient(&aim.across, &(point - centre)), middle, sigma, 1.0);
             }
         }
@@ -240,12 +263,19 @@ impl Refine {
             let (point, outward) = (pose * end.position_mm, pose * end.outward);
             for view in views {
                 let Some(aim) = self.aim(model.radius_mm, &point, &outward, view) else { continue };
-                let Some(beyond) = view.profiler.end(aim.px, aim.along, aim.half_width_px, search_px) else { continue };
+                let Some(beyond) = view.profiler.end(aim.px, aim.along, aim.half_width_px, search_px) else {
+                    continue;
+                };
                 if !self.end_is_bare(&aim, view) {
                     continue;
                 }
                 let beyond = beyond + self.params.end_reach_radii * aim.half_width_px;
-                self.push(aim.gradient(&aim.along, &(point - centre)), beyond, self.params.end_sigma_px, END_PATIENCE);
+                self.push(
+                    aim.gradient(&aim.along, &(point - centre)),
+                    beyond,
+                    self.params.end_sigma_px,
+                    END_PATIENCE,
+                );
             }
         }
     }
@@ -260,8 +290,12 @@ impl Refine {
         view: &View,
         search_px: f64,
     ) -> Option<f64> {
-        let aim =
-            self.aim(model.radius_mm, &(left_from_part * end.position_mm), &(left_from_part * end.outward), view)?;
+        let aim = self.aim(
+            model.radius_mm,
+            &(left_from_part * end.position_mm),
+            &(left_from_part * end.outward),
+            view,
+        )?;
         let beyond = view.profiler.end(aim.px, aim.along, aim.half_width_px, search_px)?;
         self.end_is_bare(&aim, view).then_some(beyond + self.params.end_reach_radii * aim.half_width_px)
     }

@@ -49,7 +49,8 @@ impl<'a> Profiler<'a> {
     }
 
     fn inside(&self, at: Vector2<f64>) -> bool {
-        (0.0..=(self.luma.width() - 1) as f64).contains(&at.x) && (0.0..=(self.luma.height() - 1) as f64).contains(&at.y)
+        (0.0..=(self.luma.width() - 1) as f64).contains(&at.x)
+            && (0.0..=(self.luma.height() - 1) as f64).contains(&at.y)
     }
 
     fn sample(&self, at: Vector2<f64>) -> Option<f64> {
@@ -138,13 +139,19 @@ impl<'a> Profiler<'a> {
 
 /// Middle and width of the run of object pixels nearest to `origin` along `across`, looked for up to `search_px`
 /// away; `None` where there is none.
-pub fn mask_run(mask: &BitImage, origin: Vector2<f64>, across: Vector2<f64>, search_px: f64) -> Option<(f64, f64)> {
+pub fn mask_run(
+    mask: &BitImage,
+    origin: Vector2<f64>,
+    across: Vector2<f64>,
+    search_px: f64,
+) -> Option<(f64, f64)> {
     let object = |t: i32| {
         let p = origin + across * (t as f64);
         mask.get(p.x.round() as i32, p.y.round() as i32)
     };
     let search = search_px as i32;
-    let start = (0..=2 * search + 1).map(|k| if k % 2 == 0 { -(k / 2) } else { k / 2 + 1 }).find(|&t| object(t))?;
+    let start =
+        (0..=2 * search + 1).map(|k| if k % 2 == 0 { -(k / 2) } else { k / 2 + 1 }).find(|&t| object(t))?;
     let limit = 4 * search + 20;
     let (mut low, mut high) = (start, start);
     while low > start - limit && object(low - 1) {

@@ -99,18 +99,26 @@ pub fn verify(
             let near = 0.35 * half + 0.4;
             let section = sighting.section.unwrap_or_default();
             piece.sight = match section.middle_and_width() {
-                Some((middle, width)) if (0.5..1.25).contains(&(width / (2.0 * half))) && middle.abs() < near => {
+                Some((middle, width))
+                    if (0.5..1.25).contains(&(width / (2.0 * half))) && middle.abs() < near =>
+                {
                     widths.push(width / (2.0 * half));
                     squares += middle * middle;
                     seen += 1.0;
                     Sight::Clear
                 }
-                _ if !sighting.object && section.middle_and_width().is_none_or(|(m, _)| m.abs() > near + 0.5 * half) => {
+                _ if !sighting.object
+                    && section.middle_and_width().is_none_or(|(m, _)| m.abs() > near + 0.5 * half) =>
+                {
                     Sight::Missing
                 }
                 _ => {
                     let side = |px: Option<f64>| px.is_some_and(|p| (p.abs() - 0.85 * half).abs() < near);
-                    if side(section.low_px) || side(section.high_px) { Sight::OneSide } else { Sight::Crossed }
+                    if side(section.low_px) || side(section.high_px) {
+                        Sight::OneSide
+                    } else {
+                        Sight::Crossed
+                    }
                 }
             };
         }
@@ -118,7 +126,12 @@ pub fn verify(
     }
     for side in 0..2 {
         let share = |wanted: fn(Sight) -> bool| {
-            model.stations.iter().zip(&verdict.pieces).map(|(s, p)| if wanted(p[side].sight) { s.length_mm } else { 0.0 }).sum::<f64>()
+            model
+                .stations
+                .iter()
+                .zip(&verdict.pieces)
+                .map(|(s, p)| if wanted(p[side].sight) { s.length_mm } else { 0.0 })
+                .sum::<f64>()
                 / model.length_mm
         };
         verdict.clear[side] = share(|s| s == Sight::Clear);
@@ -136,10 +149,8 @@ pub fn verify(
             }
         }
     }
-    verdict.overrun_mm = stops
-        .iter()
-        .map(|stop| overrun_mm(refine, model, stop, pose, views))
-        .fold(0.0, f64::max);
+    verdict.overrun_mm =
+        stops.iter().map(|stop| overrun_mm(refine, model, stop, pose, views)).fold(0.0, f64::max);
 }
 
 fn median(values: &mut [f64]) -> f64 {
@@ -151,7 +162,13 @@ fn median(values: &mut [f64]) -> f64 {
 }
 
 /// How far clean wire goes on beyond a stop, in both pictures.
-fn overrun_mm(refine: &Refine, model: &PoseModel, stop: &Stop, pose: &Isometry3<f64>, views: &[View; 2]) -> f64 {
+fn overrun_mm(
+    refine: &Refine,
+    model: &PoseModel,
+    stop: &Stop,
+    pose: &Isometry3<f64>,
+    views: &[View; 2],
+) -> f64 {
     let mut reached: [f64; 2] = [0.0; 2];
     for (reached, view) in reached.iter_mut().zip(views) {
         for beyond in ONWARD_THICKNESSES {
@@ -162,13 +179,15 @@ fn overrun_mm(refine: &Refine, model: &PoseModel, stop: &Stop, pose: &Isometry3<
                 length_mm: 0.0,
                 at_joint: false,
             };
-            let clean = refine.sight(model, &station, pose, view, 1.0).and_then(|s| Some((s, s.section?))).is_some_and(
-                |(s, section)| {
+            let clean = refine
+                .sight(model, &station, pose, view, 1.0)
+                .and_then(|s| Some((s, s.section?)))
+                .is_some_and(|(s, section)| {
                     section.middle_and_width().is_some_and(|(middle, width)| {
-                        (0.6..1.2).contains(&(width / (2.0 * s.half_width_px))) && middle.abs() < 0.35 * s.half_width_px + 0.3
+                        (0.6..1.2).contains(&(width / (2.0 * s.half_width_px)))
+                            && middle.abs() < 0.35 * s.half_width_px + 0.3
                     })
-                },
-            );
+                });
             if clean {
                 *reached += 2.0 * model.radius_mm;
             }
