@@ -97,7 +97,8 @@ impl Gate {
     pub fn check_pose(&self, at: Waypoint, pose: &Pose) -> Result<(), Refusal> {
         let norm: f64 = pose.orientation_xyzw.iter().map(|v| v * v).sum();
         // A NaN fails the comparison, and so does an infinity.
-        if !((norm - 1.0).abs() <= NORM_TOLERANCE) || !pose.position_mm.iter().all(|v| v.is_finite()) {
+        let is_rotation = (norm - 1.0).abs() <= NORM_TOLERANCE;
+        if !is_rotation || !pose.position_mm.iter().all(|v| v.is_finite()) {
             return Err(Refusal::NotFinite { at });
         }
         self.check_box(at, pose.position_mm.map(Some))?;

@@ -3,9 +3,10 @@
 //! | module | owns | |
 //! |---|---|---|
 //! | [`message`] | what the cell and an arm say to each other, whatever carries it | `no_std`, pure |
+//! | [`codec`] | packets of the own protocol | `no_std`, pure |
 //! | [`config`] | `[arm]`, `[workspace]`, `[gripper]` of cell.toml | cold |
 //! | [`gate`] | the last check before a target is encoded | hot, pure |
-//! | [`dialect`] | one state machine an arm's language: messages in, bytes out, and back | hot, pure |
+//! | [`dialect`] | one state machine per language of arms: messages in, bytes out, and back | hot, pure |
 //! | [`gcode`] | the dialects of G-code: move templates, Grbl, Marlin, uArm | hot but for the templates, pure |
 //! | [`simulate`] | the firmware's end of each language, with faults on demand | pure |
 //!
@@ -13,6 +14,7 @@
 //! arguments, and allocate nothing after `new`. Without the feature `std` only what a firmware needs is left.
 #![cfg_attr(not(feature = "std"), no_std)]
 
+pub mod codec;
 pub mod message;
 
 #[cfg(feature = "std")]

@@ -145,6 +145,7 @@ impl fmt::Display for Waypoint {
 
 /// What the cell says to an arm. Heartbeats and handshakes are the dialects' own business.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[allow(clippy::large_enum_variant)] // no boxes: it is also used without an allocator
 pub enum Command {
     /// Shake hands anew: a new session. What was not begun is dropped by both sides, the arm is on hold.
     Hello,
@@ -331,6 +332,8 @@ pub enum Failure {
         /// The dialect's own number of it.
         code: u16,
     },
+    /// The controller was restarted.
+    Restarted,
 }
 
 /// Why a pick is not executed, from whichever side.

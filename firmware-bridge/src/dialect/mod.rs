@@ -15,14 +15,100 @@
 //!   `next_deadline_ns`;
 //! - `transmit(now_ns, out)`: the next bytes to write **now**. Call it again only when they are written. The
 //!   gate checks a pick once more in here, with `now_ns`, at the moment its bytes are made;
+//! - `has_urgent()`: whether the next `transmit` gives urgent bytes, see below;
 //! - `on_written(id, at_ns)`: the bytes with [`Transmit::pick`] are written: gives [`Report::Sent`];
 //! - `next_deadline_ns()`: when `poll`/`transmit` have something to do even if no byte arrives.
 //!
-//! **Urgent bytes.** When [`Transmit::urgent`] is set the link throws away what it has not yet written
+//! **Urgent bytes.** A link that is still writing calls `transmit` only when `has_urgent()` says so. When [`Transmit::urgent`] is set the link throws away what it has not yet written
 //! (its own rest and the kernel's queue) and writes these first. A dialect therefore makes urgent bytes that are
 //! understood after any cut, and treats everything before them as perhaps lost.
 
-use crate::message::Report;
+use crate::config::{ConfigError, DialectName, Settings};
+use crate::message::{Command, Refusal, Report};
+
+mod own;
+
+pub use own::Own;
+
+/// One arm's language. The variants differ only in what they put on the wire.
+#[derive(Debug)]
+#[allow(clippy::large_enum_variant)] // one a process, never moved after the start
+pub enum Dialect {
+    /// PickCell's own packets.
+    Own(Own),
+}
+
+/// Calls the same method of whichever dialect it is.
+macro_rules! each {
+    ($self:expr, $dialect:ident => $call:expr) => {
+        match $self {
+            Dialect::Own($dialect) => $call,
+        }
+    };
+}
+
+impl Dialect {
+    /// The dialect that `[arm]` names, without a port yet.
+    ///
+    /// # Errors
+    /// A move template of `[arm.moves]` that cannot be taken.
+    pub fn new(settings: &Settings, session_seed: u32) -> Result<Self, ConfigError> {
+        match settings.arm.dialect {
+            DialectName::Own => Ok(Dialect::Own(Own::new(settings, session_seed))),
+            other => Err(ConfigError::Value {
+                key: "arm.dialect",
+                value: format!("{other:?}"),
+                allowed: "own".into(),
+            }),
+        }
+    }
+
+    /// The port was opened (the handshake begins), or is gone.
+    pub fn on_link(&mut self, up: bool, now_ns: i64) {
+        each!(self, dialect => dialect.on_link(up, now_ns));
+    }
+
+    /// Bytes that arrived, at most [`RECEIVE_LEN_MAX`] a call.
+    pub fn on_bytes(&mut self, bytes: &[u8], now_ns: i64) {
+        each!(self, dialect => dialect.on_bytes(bytes, now_ns));
+    }
+
+    /// What the cell wants.
+    ///
+    /// # Errors
+    /// Why it was not taken; nothing of it will be sent.
+    pub fn command(&mut self, command: Command, now_ns: i64) -> Result<(), Refusal> {
+        each!(self, dialect => dialect.command(command, now_ns))
+    }
+
+    /// Lets time pass; the next report.
+    pub fn poll(&mut self, now_ns: i64) -> Option<Report> {
+        each!(self, dialect => dialect.poll(now_ns))
+    }
+
+    /// The next bytes to write now; `out` is at least [`TRANSMIT_LEN_MIN`] long.
+    pub fn transmit(&mut self, now_ns: i64, out: &mut [u8]) -> Transmit {
+        each!(self, dialect => dialect.transmit(now_ns, out))
+    }
+
+    /// Whether the next `transmit` gives urgent bytes; a link asks while it is still writing others.
+    pub fn has_urgent(&self) -> bool {
+        each!(self, dialect => dialect.has_urgent())
+    }
+
+    /// The bytes that hold the begin of a pick are written.
+    pub fn on_written(&mut self, id: u64, at_ns: i64) {
+        each!(self, dialect => dialect.on_written(id, at_ns));
+    }
+
+    /// When `poll` or `transmit` have something to do without a byte arriving; in the past = now.
+    pub fn next_deadline_ns(&self) -> Option<i64> {
+        each!(self, dialect => dialect.next_deadline_ns())
+    }
+}
+
+/// Most bytes that `on_bytes` may be given at once, so that their reports fit into [`Reports`].
+pub const RECEIVE_LEN_MAX: usize = 256;
 
 /// What `transmit` put into the buffer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -4,11 +4,147 @@
 //! the arm physically did ([`Motion`]). Like the dialects these are state machines without a device or a clock:
 //! tests drive them on a simulated clock, `firmware-bridge simulate` behind a pty, the driver in its own process.
 //!
-//! Every firmware has the same shape: `on_bytes(bytes, now_ns)`, `poll(now_ns) -> Option<Motion>` (until `None`),
-//! `transmit(now_ns, out) -> usize` (bytes to answer now), `next_deadline_ns()`, and `reset(now_ns)` (somebody
-//! pressed the button: it restarts at once, forgets everything and says its banner).
+//! [`SimulatedArm`] is what others use; it holds a [`Firmware`]. Every firmware has the same shape: `on_bytes(bytes, now_ns)`, `poll(now_ns) -> Option<Motion>` (until `None`),
+//! `transmit(now_ns, out) -> usize` (bytes to answer now), `next_deadline_ns()`, `reset(now_ns)` (somebody pressed the
+//! button: it restarts at once, forgets everything and says its banner) and `heal()` (no further faults).
 
+mod body;
+mod own;
+
+use crate::config::DialectName;
+pub use body::Body;
+pub use own::OwnFirmware;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg32;
 use serde::{Deserialize, Serialize};
+
+/// A firmware of one dialect.
+#[derive(Debug)]
+#[allow(clippy::large_enum_variant)] // one a process, never moved after the start
+pub enum Firmware {
+    /// PickCell's own packets.
+    Own(OwnFirmware),
+}
+
+/// Calls the same method of whichever firmware it is.
+macro_rules! each {
+    ($self:expr, $firmware:ident => $call:expr) => {
+        match $self {
+            Firmware::Own($firmware) => $call,
+        }
+    };
+}
+
+impl Firmware {
+    fn new(dialect: DialectName, park_mm: [f64; 3], faults: Faults) -> Self {
+        match dialect {
+            DialectName::Own => Firmware::Own(OwnFirmware::new(park_mm, faults)),
+            // The others follow.
+            _ => Firmware::Own(OwnFirmware::new(park_mm, faults)),
+        }
+    }
+}
+
+/// A simulated arm: a firmware behind a line that may be bad.
+///
+/// The faults of the line (silence, garbage, lost and doubled bytes) are the same for all dialects and made here;
+/// those of the arm (reset, refused, not held, slow) are the firmware's.
+#[derive(Debug)]
+pub struct SimulatedArm {
+    firmware: Firmware,
+    faults: Faults,
+    rng: Pcg32,
+    silent_until_ns: i64,
+}
+
+impl SimulatedArm {
+    /// An arm that has just been switched on, standing at its park position out of the cameras' view.
+    pub fn new(dialect: DialectName, park_mm: [f64; 3], faults: Faults) -> Self {
+        Self {
+            firmware: Firmware::new(dialect, park_mm, faults),
+            faults,
+            // Another stream than the firmware's.
+            rng: Pcg32::seed_from_u64(!faults.seed),
+            silent_until_ns: i64::MIN,
+        }
+    }
+
+    /// Bytes that arrived over the line.
+    pub fn on_bytes(&mut self, bytes: &[u8], now_ns: i64) {
+        for &byte in bytes {
+            for _ in 0..self.copies() {
+                each!(&mut self.firmware, firmware => firmware.on_bytes(&[byte], now_ns));
+            }
+        }
+    }
+
+    /// Lets time pass; what the arm did. Call it until `None`.
+    pub fn poll(&mut self, now_ns: i64) -> Option<Motion> {
+        each!(&mut self.firmware, firmware => firmware.poll(now_ns))
+    }
+
+    /// Bytes to put on the line now; gives how many. `out` is at least 64 long.
+    pub fn transmit(&mut self, now_ns: i64, out: &mut [u8]) -> usize {
+        let mut said = [0; 64];
+        // A third, so that doubled bytes and garbage fit as well.
+        let room = (out.len() / 3).min(said.len());
+        let mut len = each!(&mut self.firmware, firmware => firmware.transmit(now_ns, &mut said[..room]));
+        if len > 0 && now_ns >= self.silent_until_ns && self.draw(Fault::Silence, 0.005) {
+            self.silent_until_ns = now_ns + self.rng.random_range(100..1500) * 1_000_000;
+        }
+        while len > 0 && now_ns < self.silent_until_ns {
+            len = each!(&mut self.firmware, firmware => firmware.transmit(now_ns, &mut said[..room]));
+        }
+        if len == 0 {
+            return 0;
+        }
+        let mut end = 0;
+        if self.draw(Fault::Garbage, 0.05) {
+            end = self.rng.random_range(1..=room);
+            self.rng.fill(&mut out[..end]);
+        }
+        for &byte in &said[..len] {
+            for _ in 0..self.copies() {
+                out[end] = byte;
+                end += 1;
+            }
+        }
+        end
+    }
+
+    /// From now on nothing goes wrong by itself.
+    pub fn heal(&mut self) {
+        self.faults.set = 0;
+        self.silent_until_ns = i64::MIN;
+        each!(&mut self.firmware, firmware => firmware.heal());
+    }
+
+    /// When something happens by itself.
+    pub fn next_deadline_ns(&self) -> Option<i64> {
+        each!(&self.firmware, firmware => firmware.next_deadline_ns())
+    }
+
+    /// Somebody pressed the button.
+    pub fn reset(&mut self, now_ns: i64) {
+        each!(&mut self.firmware, firmware => firmware.reset(now_ns));
+    }
+
+    /// How often this byte arrives.
+    fn copies(&mut self) -> usize {
+        const PER_BYTE: f64 = 0.0005;
+        if self.draw(Fault::LostBytes, PER_BYTE) {
+            0
+        } else if self.draw(Fault::DoubledBytes, PER_BYTE) {
+            2
+        } else {
+            1
+        }
+    }
+
+    fn draw(&mut self, fault: Fault, probability: f64) -> bool {
+        self.faults.has(fault) && self.rng.random_bool(probability)
+    }
+}
 
 /// What a simulated arm physically does; the campaigns judge these, not what the wire says.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

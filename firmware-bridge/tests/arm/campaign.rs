@@ -1,0 +1,192 @@
+//! Seeded fault campaigns: everything goes wrong at random, and still no target is executed twice, none is stale, none
+//! is lost without a word, and there is no deadlock.
+//!
+//! `CAMPAIGN_RUNS` says how many seeds (a short form without it).
+
+use crate::bench::{Bench, DIALECTS, MS};
+use firmware_bridge::config::DialectName;
+use firmware_bridge::message::{Command, Pick, Report};
+use firmware_bridge::simulate::{Fault, Faults};
+use rand::{Rng, RngExt, SeedableRng};
+use rand_pcg::Pcg32;
+use std::collections::BTreeMap;
+
+const FAULTS: [Fault; 8] = [
+    Fault::Silence,
+    Fault::Garbage,
+    Fault::LostBytes,
+    Fault::DoubledBytes,
+    Fault::Reset,
+    Fault::Refused,
+    Fault::NotHeld,
+    Fault::Slow,
+];
+
+/// One cell that picks what it can, on a bench where things break.
+struct Run {
+    bench: Bench,
+    rng: Pcg32,
+    seen: usize,
+    ready: bool,
+    held: bool,
+    alarm: bool,
+    taken: BTreeMap<u64, Taken>,
+    next_id: u64,
+    done: u32,
+}
+
+/// A pick that was taken, how it ended, and whether its cell was killed meanwhile.
+struct Taken {
+    pick: Pick,
+    ends: u32,
+    orphan: bool,
+}
+
+impl Run {
+    fn new(dialect: DialectName, seed: u64) -> Self {
+        let mut rng = Pcg32::seed_from_u64(seed);
+        let chosen: Vec<Fault> = FAULTS.into_iter().filter(|_| rng.random_bool(0.4)).collect();
+        let bench = Bench::new(dialect, Faults::new(rng.next_u64(), &chosen));
+        Self {
+            bench,
+            rng,
+            seen: 0,
+            ready: false,
+            held: false,
+            alarm: false,
+            taken: BTreeMap::new(),
+            next_id: 1,
+            done: 0,
+        }
+    }
+
+    /// Takes note of what was reported, as the cell's core would.
+    fn follow(&mut self) {
+        for (_, report) in &self.bench.reports[self.seen..] {
+            match *report {
+                Report::Connected { .. } | Report::Held { .. } => (self.held, self.ready) = (true, false),
+                Report::Disconnected { .. } | Report::ReportsLost => (self.held, self.ready) = (false, false),
+                Report::Alarm { .. } => (self.alarm, self.ready) = (true, false),
+                Report::Ready { .. } => (self.ready, self.held) = (true, false),
+                Report::Done { id }
+                | Report::Failed { id, .. }
+                | Report::Lost { id }
+                | Report::Refused { id, .. } => {
+                    self.done += u32::from(matches!(report, Report::Done { .. }));
+                    let taken = self.taken.get_mut(&id).expect("only picks that were taken are reported");
+                    taken.ends += 1;
+                }
+                _ => {}
+            }
+        }
+        self.seen = self.bench.reports.len();
+    }
+
+    /// What the cell or its operator would do next.
+    fn act(&mut self) {
+        if self.alarm && self.bench.command(Command::Unlock).is_ok() {
+            self.alarm = false;
+        } else if self.held && self.bench.command(Command::Release).is_ok() {
+            self.held = false;
+        } else if self.ready {
+            let pick = self.bench.pick(self.next_id);
+            self.next_id += 1;
+            if self.bench.command(Command::Pick(pick)).is_ok() {
+                self.ready = false;
+                self.taken.insert(pick.id, Taken { pick, ends: 0, orphan: false });
+            }
+        }
+    }
+
+    /// One of the things that happen to a cell.
+    fn disturb(&mut self) {
+        match self.rng.random_range(0..40) {
+            0 => self.bench.command(Command::Hold).expect("never refused"),
+            1 => {
+                self.bench.cut = true;
+                let noticed = self.rng.random_bool(0.5);
+                if noticed {
+                    self.bench.cell.on_link(false, self.bench.now_ns);
+                }
+                let duration = self.rng.random_range(10..1200);
+                self.bench.run(duration * MS);
+                self.bench.cut = false;
+                if noticed {
+                    self.bench.cell.on_link(true, self.bench.now_ns);
+                }
+            }
+            2 => {
+                self.bench.kill_cell(self.rng.next_u32());
+                (self.ready, self.held, self.alarm) = (false, false, false);
+                self.follow();
+                self.taken.values_mut().filter(|taken| taken.ends == 0).for_each(|taken| taken.orphan = true);
+            }
+            3 => self.bench.arm.reset(self.bench.now_ns),
+            4 => self.bench.command(Command::Hello).expect("never refused"),
+            _ => {}
+        }
+    }
+
+    fn check(&self, context: &str) {
+        let begun = self.bench.begun(0);
+        for (id, Taken { pick, ends, orphan }) in &self.taken {
+            assert!(*ends == 1 || (*orphan && *ends == 0), "{context}: pick {id} ended {ends} times");
+            for target_mm in [pick.approach.position_mm, pick.grasp.position_mm] {
+                let moments: Vec<i64> =
+                    begun.iter().filter(|(_, to)| *to == target_mm).map(|(at, _)| *at).collect();
+                assert!(moments.len() <= 1, "{context}: pick {id} is executed {} times", moments.len());
+            }
+            let first = begun.iter().find(|(_, to_mm)| *to_mm == pick.approach.position_mm);
+            if let Some((at_ns, _)) = first {
+                let age_ns = at_ns - pick.seen.earliest_ns();
+                assert!(
+                    age_ns <= i64::from(pick.ttl_ms) * MS,
+                    "{context}: pick {id} begins {} ms old",
+                    age_ns / MS
+                );
+            }
+        }
+    }
+}
+
+fn run(dialect: DialectName, seed: u64) -> u32 {
+    let context = format!("{dialect:?}, seed {seed}");
+    let mut run = Run::new(dialect, seed);
+    while run.bench.now_ns < 12_000 * MS {
+        let pause = run.rng.random_range(10..120);
+        run.bench.run(pause * MS);
+        run.disturb();
+        run.follow();
+        run.act();
+    }
+    // The disturbances end: the cell must find back to work by itself, and every pick to its end.
+    run.bench.arm.heal();
+    let before = run.done;
+    let end_ns = run.bench.now_ns + 120_000 * MS;
+    while run.done < before + 2 {
+        assert!(run.bench.now_ns < end_ns, "{context}: deadlock after {}", run.bench.tail());
+        run.bench.run(50 * MS);
+        run.follow();
+        run.act();
+    }
+    while run.taken.values().any(|taken| taken.ends == 0 && !taken.orphan) && run.bench.now_ns < end_ns {
+        run.bench.run(50 * MS);
+        run.follow();
+    }
+    run.check(&context);
+    run.done
+}
+
+#[test]
+fn no_target_twice_none_stale_none_lost_without_a_word_no_deadlock() {
+    let runs: u64 =
+        std::env::var("CAMPAIGN_RUNS").ok().map_or(300, |n| n.parse().expect("CAMPAIGN_RUNS is a number"));
+    let (mut done, mut taken) = (0, 0u64);
+    for seed in 0..runs {
+        let dialect = DIALECTS[(seed % DIALECTS.len() as u64) as usize];
+        done += u64::from(run(dialect, seed));
+        taken += 1;
+    }
+    println!("{taken} runs, {done} parts placed");
+    assert!(done >= 2 * runs);
+}

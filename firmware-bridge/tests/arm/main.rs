@@ -1,0 +1,5 @@
+//! What every link and dialect must keep to, against simulated arms on a simulated clock.
+
+mod bench;
+mod campaign;
+mod contract;
