@@ -5,9 +5,9 @@
 pub enum Level {
     /// 64-bit words, on every machine.
     Plain,
-    /// 256-bit vectors: AVX2.
+    /// 256-bit vectors: AVX2 with BMI1 and BMI2 (Haswell, Zen and later).
     Avx2,
-    /// 512-bit vectors: AVX-512 with F, BW, DQ, VL and VBMI2 (Ice Lake, Zen 4 and later).
+    /// 512-bit vectors: AVX-512 with F, BW, DQ, VL, VBMI, VBMI2 and VNNI (Ice Lake, Zen 4 and later).
     Avx512,
 }
 
@@ -21,13 +21,17 @@ impl Level {
     pub fn available() -> &'static [Level] {
         #[cfg(target_arch = "x86_64")]
         {
-            let avx2 = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("bmi1");
+            let avx2 = is_x86_feature_detected!("avx2")
+                && is_x86_feature_detected!("bmi1")
+                && is_x86_feature_detected!("bmi2");
             let avx512 = avx2
                 && is_x86_feature_detected!("avx512f")
                 && is_x86_feature_detected!("avx512bw")
                 && is_x86_feature_detected!("avx512dq")
                 && is_x86_feature_detected!("avx512vl")
-                && is_x86_feature_detected!("avx512vbmi2");
+                && is_x86_feature_detected!("avx512vbmi")
+                && is_x86_feature_detected!("avx512vbmi2")
+                && is_x86_feature_detected!("avx512vnni");
             if avx512 {
                 return &[Level::Plain, Level::Avx2, Level::Avx512];
             }

@@ -1,67 +1,270 @@
-//! A threshold from the histogram of the region.
+//! A threshold found in the picture, local where the light has a gradient.
+//!
+//! Luma is sampled on a grid of about 160 columns. The grey opening of the samples (erosion, then dilation by a
+//! square; for dark parts the closing) is the background without what is thinner than the square: it follows
+//! gradients, glare and the shadows of the bin's walls. What counts is then the contrast `(luma + 16) /
+//! (background + 16)`, which a change of the light leaves alone; the 16 keeps noise in the dark small.
+//!
+//! From the histogram of the contrasts inside the region come the spread of the background (median and 16th
+//! percentile) and the contrast of the parts (its upper end). Without clearly brighter samples nothing is object.
+//! Else the threshold lies a third of the way from background to parts, and a quarter of the way near samples that
+//! are beyond half way: so dim ends of a part are kept while the bin's rim, dim all along, is not.
 
-use crate::frame::{Frame, LumaView};
-use crate::vision::bits::BitImage;
+use super::grid::{self, MARGIN};
+use super::kernel::{self, Luma};
+use crate::vision::{bits::BitImage, level::Level};
+
+/// Greatest number of columns of the grid.
+const COLUMNS_MAX: usize = 160;
+/// Greatest number of rows of the grid.
+const ROWS_MAX: usize = 120;
+/// Added to luma and background before they are compared, in grey levels: noise and stray light of a webcam.
+const OFFSET: u16 = 16;
+/// Contrasts are counted in this many steps to 1.
+const CONTRAST_STEPS: f32 = 32.0;
+/// Least contrast of parts. A bin's rim beside its dark wall reaches 1.9.
+const CONTRAST_MIN: f32 = 2.0;
+/// The contrast of the parts is what one sample in so many reaches; a rod is at least as much of the picture.
+const SAMPLES_PER_PART: usize = 800;
+/// The threshold is at least so many standard deviations above the median contrast of the background.
+const SIGMAS: f32 = 6.0;
+/// Least standard deviation of the background's contrast: half of a step.
+const SIGMA_MIN: f32 = 0.03;
+/// Of the way from background to parts: threshold near strong samples, elsewhere, and what is strong.
+const NEAR: f32 = 0.25;
+const ELSEWHERE: f32 = 0.34;
+const STRONG: f32 = 0.5;
 
 /// Memory for finding thresholds.
 #[derive(Clone, Debug)]
 pub(super) struct Auto {
-    histogram: [u32; 256],
+    grid: Grid,
+    /// Luma of a row, later thresholds of a row: a value a pixel.
+    row: Vec<u8>,
+    /// The other end of the range.
+    end: Vec<u8>,
+}
+
+/// What is known of every sample. All arrays have `pitch` columns, and a margin that the sliding windows need.
+#[derive(Clone, Debug)]
+pub(super) struct Grid {
+    /// Pixels from one sample to the next.
+    pub(super) step: usize,
+    pub(super) columns: usize,
+    pub(super) rows: usize,
+    pub(super) pitch: usize,
+    /// Luma, later thresholds.
+    level: Vec<u8>,
+    background: Vec<u8>,
+    /// Contrasts; 0 outside the region.
+    contrast: Vec<u8>,
+    /// 255 inside the region, 0 outside.
+    region: Vec<u8>,
+    inside: usize,
+    strong: Vec<u8>,
+}
+
+/// Where the thresholds are, as contrasts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Contrasts {
+    near: f32,
+    elsewhere: f32,
+    strong: f32,
 }
 
 impl Auto {
-    pub(super) fn new(_width: usize, _height: usize) -> Self {
-        Self { histogram: [0; 256] }
+    /// Memory for pictures of this size; only samples in `region` count.
+    pub(super) fn new(width: usize, height: usize, region: Option<&BitImage>) -> Self {
+        let padded = width.next_multiple_of(64);
+        Self { grid: Grid::new(width, height, region), row: vec![0; padded], end: vec![255; padded] }
     }
 
-    pub(super) fn run(
-        &mut self,
-        frame: &Frame,
-        inverted: bool,
-        region: Option<&BitImage>,
-        bits: &mut BitImage,
-    ) {
-        bits.clear();
-        let Some(luma) = LumaView::new(frame) else { return };
-        self.histogram.fill(0);
-        let inside = |x: usize, y: usize| region.is_none_or(|r| r.get(x as i32, y as i32));
-        for y in (0..frame.height).step_by(4) {
-            for x in (0..frame.width).step_by(4) {
-                if inside(x, y) {
-                    self.histogram[usize::from(luma.at(x, y))] += 1;
-                }
-            }
+    /// Brighter (or, where `dark`, darker) than the background around to `bits`.
+    pub(super) fn run(&mut self, level: Level, luma: Luma<'_>, dark: bool, bits: &mut BitImage) {
+        for row in 0..self.grid.rows {
+            kernel::luma_row(level, luma, row * self.grid.step + self.grid.step / 2, &mut self.row);
+            self.grid.sample(row, &self.row);
         }
-        let total: u32 = self.histogram.iter().sum();
-        let Some(threshold) = otsu(&self.histogram, total) else { return };
-        for y in 0..frame.height {
-            for x in 0..frame.width {
-                if (luma.at(x, y) > threshold) != inverted {
-                    bits.set(x, y, true);
-                }
-            }
+        if !kernel::thresholds(level, &mut self.grid, dark) {
+            bits.clear();
+            return;
+        }
+        self.end.fill(if dark { 0 } else { 255 });
+        for row in 0..self.grid.rows {
+            let first = row * self.grid.step;
+            let last = if row + 1 == self.grid.rows { bits.height() } else { first + self.grid.step };
+            self.grid.spread(row, &mut self.row);
+            let (lo, hi) = if dark { (&self.end, &self.row) } else { (&self.row, &self.end) };
+            kernel::luma_between(level, luma, first..last, lo, hi, bits);
         }
     }
 }
 
-/// The level that parts the histogram into two classes of greatest variance between them (Otsu 1979,
-/// doi:10.1109/TSMC.1979.4310076); `None` where there are no two.
-fn otsu(histogram: &[u32; 256], total: u32) -> Option<u8> {
-    let sum: f64 = histogram.iter().enumerate().map(|(v, &n)| v as f64 * f64::from(n)).sum();
-    let (mut below, mut sum_below) = (0.0, 0.0);
-    let mut best = (0.0, None);
-    for (v, &n) in histogram.iter().enumerate() {
-        below += f64::from(n);
-        sum_below += v as f64 * f64::from(n);
-        let above = f64::from(total) - below;
-        if below == 0.0 || above <= 0.0 {
-            continue;
+impl Grid {
+    fn new(width: usize, height: usize, region: Option<&BitImage>) -> Self {
+        let step = width.div_ceil(COLUMNS_MAX).max(height.div_ceil(ROWS_MAX)).max(1);
+        let samples = |pixels: usize| (pixels - 1 - step / 2) / step + 1;
+        let (columns, rows) = (samples(width.max(step)), samples(height.max(step)));
+        let pitch = columns + 2 * MARGIN;
+        let size = (pitch * (rows + 2 * MARGIN)).next_multiple_of(64) + 64;
+        let mut inside_of = vec![0; size];
+        let mut inside = 0;
+        for y in (0..rows).step_by(2) {
+            for x in 0..columns {
+                let (px, py) = (x * step + step / 2, y * step + step / 2);
+                if region.is_none_or(|r| r.get(px as i32, py as i32)) {
+                    inside_of[y * pitch + x] = 255;
+                    inside += 1;
+                }
+            }
         }
-        let contrast = (sum - sum_below) / above - sum_below / below;
-        let between = below * above * contrast * contrast;
-        if between > best.0 && contrast > 30.0 {
-            best = (between, Some(v as u8));
+        let zeros = vec![0; size];
+        Self {
+            step,
+            columns,
+            rows,
+            pitch,
+            level: zeros.clone(),
+            background: zeros.clone(),
+            contrast: zeros.clone(),
+            region: inside_of,
+            inside,
+            strong: zeros,
         }
     }
-    best.1
+
+    /// Takes every `step`th value of a row of luma.
+    fn sample(&mut self, row: usize, luma: &[u8]) {
+        let out = &mut self.level[row * self.pitch..][..self.columns];
+        if self.step == 4 {
+            for (out, four) in out.iter_mut().zip(luma.as_chunks::<4>().0) {
+                *out = four[2];
+            }
+        } else {
+            for (out, &v) in out.iter_mut().zip(luma[self.step / 2..].iter().step_by(self.step)) {
+                *out = v;
+            }
+        }
+    }
+
+    /// Writes the threshold of every pixel of a row of samples.
+    fn spread(&self, row: usize, out: &mut [u8]) {
+        let thresholds = &self.level[row * self.pitch..][..self.columns];
+        if self.step == 4 {
+            for (four, &t) in out.as_chunks_mut::<4>().0.iter_mut().zip(thresholds) {
+                *four = [t; 4];
+            }
+        } else {
+            for (pixels, &t) in out.chunks_mut(self.step).zip(thresholds) {
+                pixels.fill(t);
+            }
+        }
+        let last = thresholds[self.columns - 1];
+        if let Some(rest) = out.get_mut(self.columns * self.step..) {
+            rest.fill(last);
+        }
+    }
+}
+
+/// Luma to thresholds, both in `level`; whether there is anything to be found.
+#[inline(always)]
+pub(super) fn thresholds(grid: &mut Grid, dark: bool) -> bool {
+    if dark { thresholds_for::<true>(grid) } else { thresholds_for::<false>(grid) }
+}
+
+#[inline(always)]
+fn thresholds_for<const DARK: bool>(grid: &mut Grid) -> bool {
+    let (rows, columns, pitch) = (grid.rows, grid.columns, grid.pitch);
+    grid::pad(&grid.level, &mut grid.background, rows, columns, pitch);
+    grid::slide::<DARK>(&mut grid.background, pitch);
+    grid::slide_back::<DARK>(&mut grid.background, pitch);
+    contrasts::<DARK>(grid);
+    let Some(found) = grid.contrasts() else { return false };
+    mark_strong::<DARK>(grid, found.strong);
+    grid::slide_back::<false>(&mut grid.strong, pitch);
+    write_thresholds::<DARK>(grid, found);
+    true
+}
+
+/// Contrast of every sample of every second row.
+#[inline(always)]
+fn contrasts<const DARK: bool>(grid: &mut Grid) {
+    for y in (0..grid.rows).step_by(2) {
+        let at = y * grid.pitch..y * grid.pitch + grid.columns;
+        let samples = grid.level[at.clone()].iter().zip(&grid.background[at.clone()]).zip(&grid.region[at.clone()]);
+        for (out, ((&level, &background), &inside)) in grid.contrast[at].iter_mut().zip(samples) {
+            let level = f32::from(level) + f32::from(OFFSET);
+            let background = f32::from(background) + f32::from(OFFSET);
+            let contrast = if DARK { background / level } else { level / background };
+            *out = (contrast * CONTRAST_STEPS).min(255.0) as i32 as u8 & inside;
+        }
+    }
+}
+
+impl Grid {
+    /// Thresholds from the histogram of the contrasts; `None` where no parts stand out.
+    #[inline(always)]
+    fn contrasts(&self) -> Option<Contrasts> {
+        let contrast = &self.contrast[..];
+        // All that is not a sample inside the region is 0, below every contrast.
+        let outside = contrast.len() - self.inside;
+        let at = |rank: usize| f32::from(grid::ranked(contrast, outside + rank)) / CONTRAST_STEPS;
+        if self.inside == 0 {
+            return None;
+        }
+        let median = at(self.inside / 2);
+        let sigma = (median - at(self.inside * 16 / 100)).max(SIGMA_MIN);
+        let parts = at(self.inside - 1 - self.inside / SAMPLES_PER_PART);
+        let least = median + SIGMAS * sigma;
+        if parts < CONTRAST_MIN.max(least) {
+            return None;
+        }
+        let way = |share: f32| (1.0 + share * (parts - 1.0)).max(least);
+        Some(Contrasts { near: way(NEAR), elsewhere: way(ELSEWHERE), strong: way(STRONG) })
+    }
+}
+
+/// `(background + 16) * contrast - 16`, or for dark parts divided; 8 fractional bits.
+#[inline(always)]
+fn level_at<const DARK: bool>(background: u8, factor: u32) -> u8 {
+    let level = (u32::from(background) + u32::from(OFFSET)) * factor >> 8;
+    level.saturating_sub(u32::from(OFFSET)).min(255) as u8
+}
+
+/// What [`level_at`] multiplies by.
+#[inline(always)]
+fn factor<const DARK: bool>(contrast: f32) -> u32 {
+    (256.0 * if DARK { 1.0 / contrast } else { contrast }) as u32
+}
+
+/// Samples beyond a contrast to 255, all others to 0, placed so that a window slid back is centred.
+#[inline(always)]
+fn mark_strong<const DARK: bool>(grid: &mut Grid, contrast: f32) {
+    let factor = factor::<DARK>(contrast);
+    grid.strong.fill(0);
+    for y in 0..grid.rows {
+        let at = y * grid.pitch..y * grid.pitch + grid.columns;
+        let out = &mut grid.strong[(y + MARGIN / 2) * grid.pitch + MARGIN / 2..][..grid.columns];
+        let samples = grid.level[at.clone()].iter().zip(&grid.background[at]);
+        for (out, (&level, &background)) in out.iter_mut().zip(samples) {
+            let least = level_at::<DARK>(background, factor);
+            let strong = if DARK { level < least } else { level > least };
+            *out = if strong { 255 } else { 0 };
+        }
+    }
+}
+
+/// The first level that is object (bright parts), or the last one (dark parts).
+#[inline(always)]
+fn write_thresholds<const DARK: bool>(grid: &mut Grid, found: Contrasts) {
+    let (near, elsewhere) = (factor::<DARK>(found.near), factor::<DARK>(found.elsewhere));
+    for y in 0..grid.rows {
+        let at = y * grid.pitch..y * grid.pitch + grid.columns;
+        let samples = grid.background[at.clone()].iter().zip(&grid.strong[at.clone()]);
+        for (out, (&background, &strong)) in grid.level[at].iter_mut().zip(samples) {
+            let factor = if strong != 0 { near } else { elsewhere };
+            let level = level_at::<DARK>(background, factor);
+            *out = if DARK { level } else { level.saturating_add(1) };
+        }
+    }
 }

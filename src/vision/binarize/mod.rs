@@ -18,12 +18,26 @@
 //! ```
 
 mod auto;
+#[cfg(target_arch = "x86_64")]
+mod avx2;
+#[cfg(target_arch = "x86_64")]
+mod avx512;
+mod error;
+mod grid;
+mod kernel;
 mod plain;
 mod region;
+mod rows;
 mod speck;
+#[cfg(test)]
+mod tests;
 
-use super::bits::BitImage;
-use crate::frame::{ColourEncoding, Frame, PixelFormat};
+pub use error::{ParamsError, Refusal};
+
+use super::{bits::BitImage, level::Level};
+use crate::frame::{ColourEncoding, Frame, PixelFormat, colour};
+use kernel::{ByteBox, LevelBox, Luma, LumaLayout};
+use rows::Rows;
 
 /// Which pixels are object.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -63,125 +77,27 @@ pub struct Params {
     pub encoding: Option<ColourEncoding>,
 }
 
-/// Parameters that cannot be used.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum ParamsError {
-    /// A range whose least value is above its greatest.
-    #[error(
-        "colour range is empty: {key} goes from {min} to {max}; give a minimum that is not above the maximum"
-    )]
-    EmptyRange {
-        /// Which range, and for a box which channel.
-        key: &'static str,
-        /// Least value.
-        min: u8,
-        /// Greatest value.
-        max: u8,
-    },
-    /// Too few corners.
-    #[error("region_px has {corners} corner(s); give at least 3, or none for the whole picture")]
-    RegionCorners {
-        /// How many.
-        corners: usize,
-    },
-    /// A corner that is no number or not in the picture.
-    #[error(
-        "region_px: corner {index} is ({x}, {y}), outside the {width}x{height} picture; x must be 0 to {width} and y 0 to {height}"
-    )]
-    RegionOutside {
-        /// Which corner, from 0.
-        index: usize,
-        /// Its x.
-        x: f32,
-        /// Its y.
-        y: f32,
-        /// Picture width.
-        width: usize,
-        /// Picture height.
-        height: usize,
-    },
-    /// Two sides cross.
-    #[error(
-        "region_px: the sides after corner {first} and after corner {second} cross; list the corners in order around the region"
-    )]
-    RegionCrosses {
-        /// First corner of one side.
-        first: usize,
-        /// First corner of the other.
-        second: usize,
-    },
-    /// No area.
-    #[error(
-        "region_px has no area ({corners} corners on a line or all at one place); give corners around the bin"
-    )]
-    RegionEmpty {
-        /// How many corners.
-        corners: usize,
-    },
-    /// A picture without pixels or too large.
-    #[error("picture size {width}x{height}: width and height must be 1 to {max}", max = SIZE_MAX)]
-    Size {
-        /// Picture width.
-        width: usize,
-        /// Picture height.
-        height: usize,
-    },
-}
-
 /// Greatest width and height in pixels.
 pub const SIZE_MAX: usize = 8192;
-
-/// A picture that cannot be binarized.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum Refusal {
-    /// Frame or bit image of another size than `new` was told.
-    #[error(
-        "picture is {width}x{height} where {wanted_width}x{wanted_height} was set up; set the camera's size or the calibration's"
-    )]
-    Size {
-        /// The frame's or bit image's width.
-        width: usize,
-        /// The frame's or bit image's height.
-        height: usize,
-        /// Width of `new`.
-        wanted_width: usize,
-        /// Height of `new`.
-        wanted_height: usize,
-    },
-    /// A JPEG: decode it first.
-    #[error("picture is still MJPEG; decode it first")]
-    Compressed,
-    /// Fewer bytes than size, stride and format need.
-    #[error("picture has {bytes} bytes where its size and format need {needed}; the frame was cut short")]
-    Short {
-        /// Bytes there.
-        bytes: usize,
-        /// Bytes needed.
-        needed: usize,
-    },
-    /// A distance between rows that is less than a row.
-    #[error("picture has rows of {stride_bytes} bytes, less than its {width} pixels need")]
-    Stride {
-        /// Bytes between rows.
-        stride_bytes: usize,
-        /// Picture width.
-        width: usize,
-    },
-}
 
 /// The stage: owns region, thresholds and speck memory.
 #[derive(Clone, Debug)]
 pub struct Binarize {
     params: Params,
+    level: Level,
     width: usize,
     height: usize,
     region: Option<BitImage>,
+    /// The box for bytes in the order R, G, B and in the order B, G, R.
+    boxes: Box<[ByteBox; 2]>,
+    /// Ends of a range of luma, a value a column.
+    ends: [Vec<u8>; 2],
     auto: auto::Auto,
     specks: speck::Specks,
 }
 
 impl Binarize {
-    /// Checks `params` and allocates for pictures of this size in pixels.
+    /// Checks `params` and allocates for pictures of this size in pixels; takes the best instructions there are.
     ///
     /// # Errors
     /// [`ParamsError`] says which parameter cannot be used.
@@ -189,27 +105,34 @@ impl Binarize {
         if width == 0 || height == 0 || width > SIZE_MAX || height > SIZE_MAX {
             return Err(ParamsError::Size { width, height });
         }
-        let check =
-            |key, min, max| if min > max { Err(ParamsError::EmptyRange { key, min, max }) } else { Ok(()) };
-        match params.colour {
-            ColourRange::Rgb { min, max } => {
-                for (channel, key) in
-                    ["color_min/color_max red", "color_min/color_max green", "color_min/color_max blue"]
-                        .into_iter()
-                        .enumerate()
-                {
-                    check(key, min[channel], max[channel])?;
-                }
-            }
-            ColourRange::Grey { min, max } => check("grey_min/grey_max", min, max)?,
-            ColourRange::Auto => {}
-        }
+        params.colour.check()?;
         let region = match params.region_px.as_slice() {
             [] => None,
             polygon => Some(region::mask(polygon, width, height)?),
         };
-        let auto = auto::Auto::new(width, height);
-        Ok(Self { params, width, height, region, auto, specks: speck::Specks::new(width, height) })
+        let ([r0, g0, b0], [r1, g1, b1]) = match params.colour {
+            ColourRange::Rgb { min, max } => (min, max),
+            _ => ([0; 3], [255; 3]),
+        };
+        Ok(Self {
+            level: Level::detect(),
+            boxes: Box::new([ByteBox::new([r0, g0, b0], [r1, g1, b1]), ByteBox::new([b0, g0, r0], [b1, g1, r1])]),
+            ends: [vec![0; width.next_multiple_of(64)], vec![0; width.next_multiple_of(64)]],
+            auto: auto::Auto::new(width, height, region.as_ref()),
+            specks: speck::Specks::new(width, height),
+            params,
+            width,
+            height,
+            region,
+        })
+    }
+
+    /// The same stage on other instructions, for comparing them; a level this machine lacks is not taken.
+    pub fn with_level(mut self, level: Level) -> Self {
+        if Level::available().contains(&level) {
+            self.level = level;
+        }
+        self
     }
 
     /// The parameters of `new`.
@@ -233,12 +156,61 @@ impl Binarize {
     /// [`Refusal`] for frames of another size, compressed or short ones; `bits` is then unchanged.
     pub fn run(&mut self, frame: &Frame, bits: &mut BitImage) -> Result<(), Refusal> {
         self.check(frame, bits)?;
-        let encoding = self.params.encoding.unwrap_or(frame.encoding);
+        let ycbcr = colour::Ycbcr::new(self.params.encoding.unwrap_or(frame.encoding));
+        let luma = Luma { layout: luma_layout(frame.format), rows: rows_of(frame) };
         match self.params.colour {
-            ColourRange::Rgb { min, max } => plain::rgb_box(frame, encoding, min, max, bits),
-            ColourRange::Grey { min, max } => plain::grey_range(frame, encoding, min, max, bits),
-            ColourRange::Auto => self.auto.run(frame, self.params.inverted, self.region.as_ref(), bits),
+            ColourRange::Rgb { min, max } => self.rgb_box(frame, ycbcr, min, max, bits),
+            ColourRange::Grey { min, max } => self.grey_range(frame, ycbcr, min, max, bits),
+            ColourRange::Auto => self.auto.run(self.level, luma, self.params.inverted, bits),
         }
+        self.invert_and_cut(bits);
+        self.specks.drop_smaller(bits, self.params.speck_px_min);
+        Ok(())
+    }
+
+    fn rgb_box(&mut self, frame: &Frame, ycbcr: colour::Ycbcr, min: [u8; 3], max: [u8; 3], bits: &mut BitImage) {
+        let rows = rows_of(frame);
+        match frame.format {
+            PixelFormat::Rgb => kernel::byte_box(self.level, rows, &self.boxes[0], bits),
+            PixelFormat::Bgr => kernel::byte_box(self.level, rows, &self.boxes[1], bits),
+            PixelFormat::Yuyv | PixelFormat::Nv12 => {
+                let range = LevelBox::rgb(ycbcr, min, max);
+                kernel::level_box(self.level, rows, chroma_of(frame), &range, bits);
+            }
+            PixelFormat::Grey | PixelFormat::Mjpeg => {
+                // R = G = B: inside all three ranges at once, which may be none.
+                let lo = min.into_iter().fold(0, u8::max);
+                let hi = max.into_iter().fold(255, u8::min);
+                self.luma_range(frame, lo, hi, bits);
+            }
+        }
+    }
+
+    fn grey_range(&mut self, frame: &Frame, ycbcr: colour::Ycbcr, min: u8, max: u8, bits: &mut BitImage) {
+        let (rows, is_yuv) = (rows_of(frame), matches!(frame.format, PixelFormat::Yuyv | PixelFormat::Nv12));
+        if is_yuv && (ycbcr.l_u, ycbcr.l_v) != (0, 0) {
+            let range = LevelBox::luma(ycbcr, min, max);
+            kernel::level_box(self.level, rows, chroma_of(frame), &range, bits);
+        } else if is_yuv {
+            // Luma grows with Y, so that a range of the one is a range of the other.
+            let inside = |y: &u8| (min..=max).contains(&ycbcr.luma(*y, 128, 128));
+            let lo = (0..=255).find(inside).unwrap_or(255);
+            let hi = (0..=255).rev().find(inside).unwrap_or(0);
+            self.luma_range(frame, lo, hi, bits);
+        } else {
+            self.luma_range(frame, min, max, bits);
+        }
+    }
+
+    fn luma_range(&mut self, frame: &Frame, lo: u8, hi: u8, bits: &mut BitImage) {
+        self.ends[0].fill(lo);
+        self.ends[1].fill(hi);
+        let luma = Luma { layout: luma_layout(frame.format), rows: rows_of(frame) };
+        kernel::luma_between(self.level, luma, 0..self.height, &self.ends[0], &self.ends[1], bits);
+    }
+
+    fn invert_and_cut(&self, bits: &mut BitImage) {
+        // A threshold of its own picture has looked for dark parts already.
         let invert = self.params.inverted && self.params.colour != ColourRange::Auto;
         for s in 0..bits.strips() {
             let flip = if invert { bits.strip_mask(s) } else { 0 };
@@ -252,8 +224,6 @@ impl Binarize {
                 None => {}
             }
         }
-        self.specks.drop_smaller(bits, self.params.speck_px_min);
-        Ok(())
     }
 
     fn check(&self, frame: &Frame, bits: &BitImage) -> Result<(), Refusal> {
@@ -279,4 +249,38 @@ impl Binarize {
         }
         Ok(())
     }
+}
+
+impl ColourRange {
+    fn check(&self) -> Result<(), ParamsError> {
+        let check = |key, min, max| if min > max { Err(ParamsError::EmptyRange { key, min, max }) } else { Ok(()) };
+        match *self {
+            ColourRange::Rgb { min, max } => {
+                let keys = ["color_min/color_max red", "color_min/color_max green", "color_min/color_max blue"];
+                (0..3).try_for_each(|c| check(keys[c], min[c], max[c]))
+            }
+            ColourRange::Grey { min, max } => check("grey_min/grey_max", min, max),
+            ColourRange::Auto => Ok(()),
+        }
+    }
+}
+
+fn luma_layout(format: PixelFormat) -> LumaLayout {
+    match format {
+        PixelFormat::Rgb => LumaLayout::Rgb,
+        PixelFormat::Bgr => LumaLayout::Bgr,
+        PixelFormat::Grey | PixelFormat::Nv12 | PixelFormat::Mjpeg => LumaLayout::Single,
+        PixelFormat::Yuyv => LumaLayout::Pair,
+    }
+}
+
+/// The rows of pixels, or of Y.
+fn rows_of(frame: &Frame) -> Rows<'_> {
+    Rows { bytes: &frame.bytes, stride: frame.stride_bytes, block: luma_layout(frame.format).block() }
+}
+
+/// The rows of chroma where they lie apart.
+fn chroma_of(frame: &Frame) -> Option<Rows<'_>> {
+    let bytes = frame.bytes.get(frame.height * frame.stride_bytes..).unwrap_or_default();
+    (frame.format == PixelFormat::Nv12).then_some(Rows { bytes, stride: frame.stride_bytes, block: 64 })
 }

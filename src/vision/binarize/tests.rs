@@ -1,0 +1,217 @@
+//! All instruction sets against a pixel at a time, all formats against each other.
+
+use super::*;
+use crate::frame::{LumaView, QuantizationRange, YcbcrMatrix};
+use crate::vision::decode::{Decoder, Output};
+use proptest::prelude::*;
+
+/// One pixel at a time, by the frame's own reading of its pixels.
+fn slow(params: &Params, frame: &Frame) -> BitImage {
+    let encoding = params.encoding.unwrap_or(frame.encoding);
+    let frame = &Frame { encoding, ..frame.clone() };
+    let luma = LumaView::new(frame).expect("a raw frame");
+    let mut bits = BitImage::new(frame.width, frame.height);
+    for y in 0..frame.height {
+        for x in 0..frame.width {
+            let inside = match params.colour {
+                ColourRange::Rgb { min, max } => {
+                    let rgb = frame.rgb(x, y);
+                    (0..3).all(|c| (min[c]..=max[c]).contains(&rgb[c]))
+                }
+                ColourRange::Grey { min, max } => (min..=max).contains(&luma.at(x, y)),
+                ColourRange::Auto => unreachable!("no threshold of its own"),
+            };
+            bits.set(x, y, inside != params.inverted);
+        }
+    }
+    bits
+}
+
+fn run(params: &Params, level: Level, frame: &Frame) -> BitImage {
+    let mut stage = Binarize::new(params.clone(), frame.width, frame.height).expect("good parameters").with_level(level);
+    let mut bits = BitImage::new(frame.width, frame.height);
+    // What was there before must not matter.
+    (0..frame.width.min(frame.height)).for_each(|i| bits.set(i, i, true));
+    stage.run(frame, &mut bits).expect("a good frame");
+    bits
+}
+
+const FORMATS: [PixelFormat; 5] =
+    [PixelFormat::Rgb, PixelFormat::Bgr, PixelFormat::Grey, PixelFormat::Yuyv, PixelFormat::Nv12];
+
+/// A frame of this format whose bytes come from a few numbers.
+fn frame_of(format: PixelFormat, width: usize, height: usize, gap: usize, seed: u32) -> Frame {
+    let row = match format {
+        PixelFormat::Rgb | PixelFormat::Bgr => 3 * width,
+        PixelFormat::Yuyv => 2 * width.next_multiple_of(2),
+        _ => width.next_multiple_of(2),
+    };
+    let mut frame = Frame { format, width, height, stride_bytes: row + gap, ..Frame::default() };
+    frame.encoding = ColourEncoding {
+        matrix: if seed & 1 == 0 { YcbcrMatrix::Bt601 } else { YcbcrMatrix::Bt709 },
+        range: if seed & 2 == 0 { QuantizationRange::Limited } else { QuantizationRange::Full },
+    };
+    let mut state = seed;
+    frame.bytes.resize_with(frame.bytes_needed(), || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 24) as u8
+    });
+    frame
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(60))]
+
+    #[test]
+    fn every_instruction_set_gives_what_a_pixel_at_a_time_gives(
+        format in 0usize..5, size in (1usize..200, 1usize..12), gap in 0usize..5, seed: u32,
+        ends in any::<[(u8, u8); 3]>(), grey: bool, inverted: bool
+    ) {
+        let frame = frame_of(FORMATS[format], size.0, size.1, gap, seed);
+        let (min, max) = (ends.map(|(a, b)| a.min(b)), ends.map(|(a, b)| a.max(b)));
+        let colour =
+            if grey { ColourRange::Grey { min: min[0], max: max[0] } } else { ColourRange::Rgb { min, max } };
+        let params = Params { colour, inverted, ..Params::default() };
+        let expected = slow(&params, &frame);
+        for &level in Level::available() {
+            prop_assert_eq!(run(&params, level, &frame).to_text(), expected.to_text(), "{:?}", level);
+        }
+    }
+
+    #[test]
+    fn every_instruction_set_finds_the_same_thresholds(
+        format in 0usize..5, size in (1usize..200, 1usize..90), seed: u32, inverted: bool, floor in 1u8..60
+    ) {
+        let mut frame = frame_of(FORMATS[format], size.0, size.1, 0, seed);
+        for (i, byte) in frame.bytes.iter_mut().enumerate() {
+            if *byte < 250 && i % 7 != 0 {
+                *byte = floor + *byte % 16;
+            }
+        }
+        let params = Params { inverted, ..Params::default() };
+        let expected = run(&params, Level::Plain, &frame);
+        for &level in Level::available() {
+            prop_assert_eq!(run(&params, level, &frame).to_text(), expected.to_text(), "{:?}", level);
+        }
+    }
+}
+
+/// Every combination of a pixel's Y, Cb and Cr, in steps, at box ends that cut through it.
+#[test]
+fn conversions_are_exact_at_the_ends_of_a_box() {
+    let mut frame = frame_of(PixelFormat::Yuyv, 256, 64, 0, 0);
+    for (i, group) in frame.bytes.chunks_exact_mut(4).enumerate() {
+        let (u, v) = ((i % 128 * 2) as u8, (i / 128 * 4) as u8);
+        group.copy_from_slice(&[(i * 37) as u8, u, (i * 91 + 5) as u8, v]);
+    }
+    for encoding in [YcbcrMatrix::Bt601, YcbcrMatrix::Bt709].map(|matrix| ColourEncoding {
+        matrix,
+        range: QuantizationRange::Full,
+    }) {
+        for min in (0..=250).step_by(25) {
+            let colour = ColourRange::Rgb { min: [min; 3], max: [min.saturating_add(60); 3] };
+            let params = Params { colour, encoding: Some(encoding), ..Params::default() };
+            let expected = slow(&params, &frame);
+            for &level in Level::available() {
+                assert_eq!(run(&params, level, &frame), expected, "{level:?} {min}");
+            }
+        }
+    }
+}
+
+#[test]
+fn bad_ranges_and_frames_are_refused_in_words() {
+    let colour = ColourRange::Rgb { min: [0, 200, 0], max: [255, 100, 255] };
+    let error = Binarize::new(Params { colour, ..Params::default() }, 8, 8).expect_err("empty").to_string();
+    assert_eq!(
+        error,
+        "colour range is empty: color_min/color_max green goes from 200 to 100; give a minimum that is not above the maximum"
+    );
+    let mut stage = Binarize::new(Params::default(), 8, 8).expect("good parameters");
+    let mut bits = BitImage::new(8, 8);
+    let mut refuse = |frame: &Frame| stage.run(frame, &mut bits).expect_err("refused").to_string();
+    let good = Frame::from_rgb(8, 8, vec![0; 192]);
+    assert!(refuse(&Frame::from_rgb(4, 8, vec![0; 96])).starts_with("picture is 4x8 where 8x8 was set up"));
+    assert!(refuse(&Frame { bytes: vec![0; 100], ..good.clone() }).contains("100 bytes where its size and format need 192"));
+    assert!(refuse(&Frame { stride_bytes: 20, ..good.clone() }).contains("rows of 20 bytes, less than its 8 pixels"));
+    assert!(refuse(&Frame { format: PixelFormat::Mjpeg, ..good }).contains("still MJPEG"));
+    assert!(Binarize::new(Params::default(), 0, 8).is_err());
+}
+
+/// A bin of dim, uneven floor under a gradient of light with a few bright bars.
+fn bin(light: impl Fn(usize, usize) -> f32, bars: bool) -> Frame {
+    let (width, height) = (320, 240);
+    let mut bytes = Vec::with_capacity(3 * width * height);
+    for y in 0..height {
+        for x in 0..width {
+            let noise = ((x * 7919 + y * 104_729) % 97) as f32 / 97.0 - 0.5;
+            let bar = bars && is_bar(x, y);
+            let v = light(x, y) * if bar { 200.0 } else { 45.0 + 12.0 * noise };
+            bytes.extend([v.clamp(0.0, 255.0) as u8; 3]);
+        }
+    }
+    Frame::from_rgb(width, height, bytes)
+}
+
+fn is_bar(x: usize, y: usize) -> bool {
+    (40..45).contains(&y) && (30..280).contains(&x) || (200..205).contains(&x) && (60..200).contains(&y)
+}
+
+/// Pixels that are object without being bars, and the reverse.
+fn wrong(bits: &BitImage) -> (usize, usize) {
+    let mut wrong = (0, 0);
+    for y in 0..bits.height() {
+        for x in 0..bits.width() {
+            match (bits.get(x as i32, y as i32), is_bar(x, y)) {
+                (true, false) => wrong.0 += 1,
+                (false, true) => wrong.1 += 1,
+                _ => {}
+            }
+        }
+    }
+    wrong
+}
+
+#[test]
+fn a_threshold_of_its_own_follows_brightness_and_gradients() {
+    for gain in [0.5, 0.7, 1.0, 1.3] {
+        let frame = bin(|x, _| gain * (0.5 + x as f32 / 320.0), true);
+        assert_eq!(wrong(&run(&Params::default(), Level::detect(), &frame)), (0, 0), "light {gain}");
+    }
+}
+
+#[test]
+fn an_empty_bin_has_no_objects() {
+    for gain in [0.3, 1.0, 1.3] {
+        let frame = bin(|x, y| gain * (0.5 + (x + y) as f32 / 400.0), false);
+        assert_eq!(run(&Params::default(), Level::detect(), &frame).count(), 0, "light {gain}");
+    }
+    let black = Frame::from_rgb(64, 48, vec![0; 64 * 48 * 3]);
+    assert_eq!(run(&Params::default(), Level::detect(), &black).count(), 0);
+    let white = Frame::from_rgb(64, 48, vec![255; 64 * 48 * 3]);
+    assert_eq!(run(&Params::default(), Level::detect(), &white).count(), 0);
+}
+
+#[test]
+fn dark_parts_on_a_light_floor_are_found_where_inverted() {
+    let mut frame = bin(|x, _| 0.6 + x as f32 / 640.0, true);
+    frame.bytes.iter_mut().for_each(|v| *v = (12_000 / (u32::from(*v) + 20)).min(255) as u8);
+    let params = Params { inverted: true, ..Params::default() };
+    assert_eq!(wrong(&run(&params, Level::detect(), &frame)), (0, 0));
+    assert_eq!(run(&Params::default(), Level::detect(), &frame).count(), 0, "bright parts: there are none");
+}
+
+#[test]
+fn only_the_region_counts_and_only_in_it_is_anything_found() {
+    let mut frame = bin(|_, _| 1.0, true);
+    // A lamp beside the bin would draw the threshold up to it.
+    for y in 210..240 {
+        frame.bytes[3 * (320 * y)..3 * (320 * y + 40)].fill(255);
+    }
+    let region_px = vec![[10.0, 10.0], [310.0, 10.0], [310.0, 205.0], [10.0, 205.0]];
+    let params = Params { region_px, speck_px_min: 20, ..Params::default() };
+    assert_eq!(wrong(&run(&params, Level::detect(), &frame)), (0, 0));
+    let elsewhere = vec![[10.0, 60.0], [150.0, 60.0], [150.0, 200.0], [10.0, 200.0]];
+    let params = Params { region_px: elsewhere, ..Params::default() };
+    assert_eq!(run(&params, Level::detect(), &frame).count(), 0);
+}
