@@ -145,9 +145,9 @@ impl Binarize {
         self.region.as_ref()
     }
 
-    /// Whether luma alone is looked at, so that MJPEG may be decoded to grey.
+    /// Whether MJPEG may be decoded to luma alone: for a range of luma only.
     pub fn needs_luma_only(&self) -> bool {
-        !matches!(self.params.colour, ColourRange::Rgb { .. })
+        matches!(self.params.colour, ColourRange::Grey { .. })
     }
 
     /// Writes every pixel of `bits`.
