@@ -57,9 +57,12 @@ fn run(c: &mut Criterion, group: &str, name: &str, params: Params, level: Level,
 
 fn formats(c: &mut Criterion) {
     for (width, height) in [(640, 480), (1920, 1080)] {
-        for (format, format_name) in
-            [(PixelFormat::Rgb, "rgb"), (PixelFormat::Yuyv, "yuyv"), (PixelFormat::Nv12, "nv12"), (PixelFormat::Grey, "grey")]
-        {
+        for (format, format_name) in [
+            (PixelFormat::Rgb, "rgb"),
+            (PixelFormat::Yuyv, "yuyv"),
+            (PixelFormat::Nv12, "nv12"),
+            (PixelFormat::Grey, "grey"),
+        ] {
             let frame = drawn(format, width, height, 20);
             for (colour_name, colour) in colours() {
                 for &level in Level::available() {
@@ -73,7 +76,10 @@ fn formats(c: &mut Criterion) {
 
 fn whole_stage(c: &mut Criterion) {
     let level = Level::detect();
-    let mut frames = vec![("drawn-20", drawn(PixelFormat::Rgb, 640, 480, 20)), ("drawn-100", drawn(PixelFormat::Rgb, 1920, 1080, 100))];
+    let mut frames = vec![
+        ("drawn-20", drawn(PixelFormat::Rgb, 640, 480, 20)),
+        ("drawn-100", drawn(PixelFormat::Rgb, 1920, 1080, 100)),
+    ];
     let scene = concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/scenes/sets/overlap-rods/scene-06/left.jpg");
     match image::open(scene) {
         Ok(picture) => {

@@ -191,7 +191,8 @@ fn thresholds_for<const DARK: bool>(grid: &mut Grid) -> bool {
 fn contrasts<const DARK: bool>(grid: &mut Grid) {
     for y in (0..grid.rows).step_by(2) {
         let at = y * grid.pitch..y * grid.pitch + grid.columns;
-        let samples = grid.level[at.clone()].iter().zip(&grid.background[at.clone()]).zip(&grid.region[at.clone()]);
+        let samples =
+            grid.level[at.clone()].iter().zip(&grid.background[at.clone()]).zip(&grid.region[at.clone()]);
         for (out, ((&level, &background), &inside)) in grid.contrast[at].iter_mut().zip(samples) {
             let level = f32::from(level) + f32::from(OFFSET);
             let background = f32::from(background) + f32::from(OFFSET);

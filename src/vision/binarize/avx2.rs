@@ -194,11 +194,15 @@ pub(super) fn luma_between(luma: Luma<'_>, ys: Range<usize>, lo: &[u8], hi: &[u8
         let half = |x, at| between(x, load(lo, at), load(hi, at));
         joined(half(low, 64 * s), half(high, 64 * s + 32))
     };
-    let three = |s, b: &[u8; THREE], red_first| word(s, luma_of_three(b, 0, red_first), luma_of_three(b, 96, red_first));
+    let three = |s, b: &[u8; THREE], red_first| {
+        word(s, luma_of_three(b, 0, red_first), luma_of_three(b, 96, red_first))
+    };
     match luma.layout {
         LumaLayout::Rgb => rows::each(luma.rows, ys, bits, |s, b| three(s, b, true)),
         LumaLayout::Bgr => rows::each(luma.rows, ys, bits, |s, b| three(s, b, false)),
-        LumaLayout::Single => rows::each(luma.rows, ys, bits, |s, b: &[u8; 64]| word(s, load(b, 0), load(b, 32))),
+        LumaLayout::Single => {
+            rows::each(luma.rows, ys, bits, |s, b: &[u8; 64]| word(s, load(b, 0), load(b, 32)))
+        }
         LumaLayout::Pair => rows::each(luma.rows, ys, bits, |s, b: &[u8; 128]| {
             word(s, luma_of_pairs(b, 0), luma_of_pairs(b, 64))
         }),

@@ -101,12 +101,25 @@ pub(super) fn byte_box(level: Level, rows: Rows<'_>, range: &ByteBox, bits: &mut
 }
 
 /// Object: all three levels in the box; `chroma` apart, or `None` where it lies between the Y values (YUYV).
-pub(super) fn level_box(level: Level, y: Rows<'_>, chroma: Option<Rows<'_>>, range: &LevelBox, bits: &mut BitImage) {
+pub(super) fn level_box(
+    level: Level,
+    y: Rows<'_>,
+    chroma: Option<Rows<'_>>,
+    range: &LevelBox,
+    bits: &mut BitImage,
+) {
     dispatch!(level, level_box(y, chroma, range, bits))
 }
 
 /// Object: luma from `lo` to `hi`, both included, which have a value for every column of the strips.
-pub(super) fn luma_between(level: Level, luma: Luma<'_>, ys: Range<usize>, lo: &[u8], hi: &[u8], bits: &mut BitImage) {
+pub(super) fn luma_between(
+    level: Level,
+    luma: Luma<'_>,
+    ys: Range<usize>,
+    lo: &[u8],
+    hi: &[u8],
+    bits: &mut BitImage,
+) {
     dispatch!(level, luma_between(luma, ys, lo, hi, bits))
 }
 

@@ -116,7 +116,10 @@ impl Binarize {
         };
         Ok(Self {
             level: Level::detect(),
-            boxes: Box::new([ByteBox::new([r0, g0, b0], [r1, g1, b1]), ByteBox::new([b0, g0, r0], [b1, g1, r1])]),
+            boxes: Box::new([
+                ByteBox::new([r0, g0, b0], [r1, g1, b1]),
+                ByteBox::new([b0, g0, r0], [b1, g1, r1]),
+            ]),
             ends: [vec![0; width.next_multiple_of(64)], vec![0; width.next_multiple_of(64)]],
             auto: auto::Auto::new(width, height, region.as_ref()),
             specks: speck::Specks::new(width, height),
@@ -168,7 +171,14 @@ impl Binarize {
         Ok(())
     }
 
-    fn rgb_box(&mut self, frame: &Frame, ycbcr: colour::Ycbcr, min: [u8; 3], max: [u8; 3], bits: &mut BitImage) {
+    fn rgb_box(
+        &mut self,
+        frame: &Frame,
+        ycbcr: colour::Ycbcr,
+        min: [u8; 3],
+        max: [u8; 3],
+        bits: &mut BitImage,
+    ) {
         let rows = rows_of(frame);
         match frame.format {
             PixelFormat::Rgb => kernel::byte_box(self.level, rows, &self.boxes[0], bits),
@@ -253,10 +263,12 @@ impl Binarize {
 
 impl ColourRange {
     fn check(&self) -> Result<(), ParamsError> {
-        let check = |key, min, max| if min > max { Err(ParamsError::EmptyRange { key, min, max }) } else { Ok(()) };
+        let check =
+            |key, min, max| if min > max { Err(ParamsError::EmptyRange { key, min, max }) } else { Ok(()) };
         match *self {
             ColourRange::Rgb { min, max } => {
-                let keys = ["color_min/color_max red", "color_min/color_max green", "color_min/color_max blue"];
+                let keys =
+                    ["color_min/color_max red", "color_min/color_max green", "color_min/color_max blue"];
                 (0..3).try_for_each(|c| check(keys[c], min[c], max[c]))
             }
             ColourRange::Grey { min, max } => check("grey_min/grey_max", min, max),

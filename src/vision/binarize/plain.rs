@@ -63,7 +63,9 @@ pub(super) fn level_box(y: Rows<'_>, chroma: Option<Rows<'_>>, range: &LevelBox,
         None => rows::each(y, ys, bits, |_, b: &[u8; 128]| {
             word(&|i| [b[2 * i], b[2 * (i & !1) + 1], b[2 * (i | 1) + 1]])
         }),
-        Some(chroma) => rows::each_with_chroma(y, chroma, bits, |y, c| word(&|i| [y[i], c[i & !1], c[i | 1]])),
+        Some(chroma) => {
+            rows::each_with_chroma(y, chroma, bits, |y, c| word(&|i| [y[i], c[i & !1], c[i | 1]]))
+        }
     }
 }
 
@@ -100,7 +102,9 @@ pub(super) fn luma_row(luma: Luma<'_>, y: usize, row: &mut [u8]) {
 
 /// Luma of 64 pixels whose red is byte `RED` of three.
 fn luma_of_three<const RED: usize>(bytes: &[u8; 192]) -> [u8; 64] {
-    std::array::from_fn(|i| colour::luma_of_rgb([bytes[3 * i + RED], bytes[3 * i + 1], bytes[3 * i + 2 - RED]]))
+    std::array::from_fn(|i| {
+        colour::luma_of_rgb([bytes[3 * i + RED], bytes[3 * i + 1], bytes[3 * i + 2 - RED]])
+    })
 }
 
 /// The first of every two bytes.

@@ -28,7 +28,8 @@ fn slow(params: &Params, frame: &Frame) -> BitImage {
 }
 
 fn run(params: &Params, level: Level, frame: &Frame) -> BitImage {
-    let mut stage = Binarize::new(params.clone(), frame.width, frame.height).expect("good parameters").with_level(level);
+    let mut stage =
+        Binarize::new(params.clone(), frame.width, frame.height).expect("good parameters").with_level(level);
     let mut bits = BitImage::new(frame.width, frame.height);
     // What was there before must not matter.
     (0..frame.width.min(frame.height)).for_each(|i| bits.set(i, i, true));
@@ -104,10 +105,9 @@ fn conversions_are_exact_at_the_ends_of_a_box() {
         let (u, v) = ((i % 128 * 2) as u8, (i / 128 * 4) as u8);
         group.copy_from_slice(&[(i * 37) as u8, u, (i * 91 + 5) as u8, v]);
     }
-    for encoding in [YcbcrMatrix::Bt601, YcbcrMatrix::Bt709].map(|matrix| ColourEncoding {
-        matrix,
-        range: QuantizationRange::Full,
-    }) {
+    for encoding in [YcbcrMatrix::Bt601, YcbcrMatrix::Bt709]
+        .map(|matrix| ColourEncoding { matrix, range: QuantizationRange::Full })
+    {
         for min in (0..=250).step_by(25) {
             let colour = ColourRange::Rgb { min: [min; 3], max: [min.saturating_add(60); 3] };
             let params = Params { colour, encoding: Some(encoding), ..Params::default() };
@@ -132,8 +132,14 @@ fn bad_ranges_and_frames_are_refused_in_words() {
     let mut refuse = |frame: &Frame| stage.run(frame, &mut bits).expect_err("refused").to_string();
     let good = Frame::from_rgb(8, 8, vec![0; 192]);
     assert!(refuse(&Frame::from_rgb(4, 8, vec![0; 96])).starts_with("picture is 4x8 where 8x8 was set up"));
-    assert!(refuse(&Frame { bytes: vec![0; 100], ..good.clone() }).contains("100 bytes where its size and format need 192"));
-    assert!(refuse(&Frame { stride_bytes: 20, ..good.clone() }).contains("rows of 20 bytes, less than its 8 pixels"));
+    assert!(
+        refuse(&Frame { bytes: vec![0; 100], ..good.clone() })
+            .contains("100 bytes where its size and format need 192")
+    );
+    assert!(
+        refuse(&Frame { stride_bytes: 20, ..good.clone() })
+            .contains("rows of 20 bytes, less than its 8 pixels")
+    );
     assert!(refuse(&Frame { format: PixelFormat::Mjpeg, ..good }).contains("still MJPEG"));
     assert!(Binarize::new(Params::default(), 0, 8).is_err());
 }
