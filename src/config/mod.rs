@@ -27,7 +27,7 @@ use serde::Deserialize;
 
 pub use cameras::{Backend, CameraSettings, Cameras, ControlValue, PICTURE_SIDE_PX_MAX, Pace, RATE_HZ_MAX};
 pub use error::{ConfigError, Location};
-pub use recognition::{ColourRange, Gate, Harmony, Recognition, SearchMethod, ThinMethod};
+pub use recognition::{Gate, Harmony, Recognition, SearchMethod};
 pub use source::Source;
 pub use tables::{PlaceGrid, Realtime, Rig, Scheduling};
 
@@ -50,12 +50,8 @@ pub struct Cell {
     pub place: Option<PlaceGrid>,
     /// Priorities, cores and memory of the threads.
     pub realtime: Realtime,
-    /// `[arm]` as written; `None` where the cell has no arm.
-    pub arm: Option<toml::Table>,
-    /// `[workspace]` as written.
-    pub workspace: Option<toml::Table>,
-    /// `[gripper]` as written.
-    pub gripper: Option<toml::Table>,
+    /// `[arm]`, `[workspace]` and `[gripper]`, as the bridge process reads them from the same file.
+    pub arm_side: firmware_bridge::config::Settings,
 }
 
 #[derive(Debug, Deserialize)]
@@ -69,9 +65,11 @@ struct Written {
     place: Option<tables::WrittenPlace>,
     #[serde(default)]
     realtime: tables::WrittenRealtime,
-    arm: Option<toml::Table>,
-    workspace: Option<toml::Table>,
-    gripper: Option<toml::Table>,
+    #[serde(default)]
+    arm: firmware_bridge::config::Arm,
+    workspace: firmware_bridge::config::Workspace,
+    #[serde(default)]
+    gripper: firmware_bridge::config::Gripper,
 }
 
 impl Cell {
@@ -89,6 +87,7 @@ impl Cell {
     /// The first thing in it that is wrong.
     pub fn check(source: &Source) -> Result<Self, ConfigError> {
         let written: Written = source.parse()?;
+        let arm_side = tables::arm_side(source, written.arm, written.workspace, written.gripper)?;
         Ok(Cell {
             file: source.file.clone(),
             text: source.text.clone(),
@@ -98,9 +97,7 @@ impl Cell {
             deadline: written.deadline.check(source)?,
             place: written.place.map(|place| place.check(source)).transpose()?,
             realtime: written.realtime.check(source)?,
-            arm: written.arm,
-            workspace: written.workspace,
-            gripper: written.gripper,
+            arm_side,
         })
     }
 

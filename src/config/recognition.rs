@@ -6,37 +6,14 @@ use serde::Deserialize;
 
 use super::error::ConfigError;
 use super::source::Source;
+use crate::vision::binarize::ColourRange;
+use crate::vision::thin::Algorithm;
 
-/// Which pixels are part and which are background.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum ColourRange {
-    /// A threshold found in every picture from its histogram.
-    #[default]
-    Auto,
-    /// A box in RGB, both corners included.
-    Rgb {
-        /// Smallest red, green and blue.
-        min: [u8; 3],
-        /// Largest red, green and blue.
-        max: [u8; 3],
-    },
-    /// A range of BT.601 luma, both ends included.
-    Grey {
-        /// Smallest luma.
-        min: u8,
-        /// Largest luma.
-        max: u8,
-    },
-}
-
-/// Which thinning.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum ThinMethod {
-    /// Zhang and Suen, 1984.
+enum WrittenThin {
     #[default]
     ZhangSuen,
-    /// Guo and Hall, 1989.
     GuoHall,
 }
 
@@ -95,13 +72,13 @@ pub struct Recognition {
     /// The parts are the pixels outside the range: dark parts on a light floor.
     pub inverted: bool,
     /// Corners of the region of interest in the left picture; empty: all of it.
-    pub region_left_px: Vec<[f64; 2]>,
+    pub region_left_px: Vec<[f32; 2]>,
     /// Corners of the region of interest in the right picture; empty: all of it.
-    pub region_right_px: Vec<[f64; 2]>,
+    pub region_right_px: Vec<[f32; 2]>,
     /// Connected specks with fewer pixels are dropped.
     pub min_speck_px: u32,
     /// Which thinning.
-    pub thin: ThinMethod,
+    pub thin: Algorithm,
     /// Which search.
     pub search: SearchMethod,
     /// Its parameters.
@@ -128,7 +105,7 @@ pub(super) struct Written {
     region_px: Option<toml::Value>,
     min_speck_px: Option<u32>,
     #[serde(default)]
-    thin: ThinMethod,
+    thin: WrittenThin,
     #[serde(default)]
     search: SearchMethod,
     hms: Option<usize>,
@@ -188,7 +165,10 @@ impl Written {
             region_left_px,
             region_right_px,
             min_speck_px: self.min_speck_px.unwrap_or(20),
-            thin: self.thin,
+            thin: match self.thin {
+                WrittenThin::ZhangSuen => Algorithm::ZhangSuen,
+                WrittenThin::GuoHall => Algorithm::GuoHall,
+            },
             search: self.search,
             harmony,
             gate: self.gate,
@@ -252,7 +232,7 @@ fn colour(source: &Source, value: &toml::Value) -> Result<ColourRange, ConfigErr
     }
 }
 
-type Polygon = Vec<[f64; 2]>;
+type Polygon = Vec<[f32; 2]>;
 
 fn region(source: &Source, value: &toml::Value) -> Result<(Polygon, Polygon), ConfigError> {
     let refuse = || {
@@ -278,12 +258,12 @@ fn polygon(value: &toml::Value) -> Option<Polygon> {
     corners.filter(|corners| corners.len() >= 3)
 }
 
-fn point(value: &toml::Value) -> Option<[f64; 2]> {
+fn point(value: &toml::Value) -> Option<[f32; 2]> {
     let number = |value: &toml::Value| {
         value.as_float().or_else(|| value.as_integer().map(|n| n as f64)).filter(|n| n.is_finite())
     };
     match value.as_array()?.as_slice() {
-        [x, y] => Some([number(x)?, number(y)?]),
+        [x, y] => Some([number(x)? as f32, number(y)? as f32]),
         _ => None,
     }
 }

@@ -3,11 +3,32 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use firmware_bridge::config::{Arm, Gripper, Settings, Workspace};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 
 use super::error::ConfigError;
 use super::source::Source;
+
+/// The three tables of firmware-bridge, by its own checks.
+pub(super) fn arm_side(
+    source: &Source,
+    arm: Arm,
+    workspace: Workspace,
+    gripper: Gripper,
+) -> Result<Settings, ConfigError> {
+    use firmware_bridge::config::ConfigError as Theirs;
+    let mut settings = Settings { arm, workspace, gripper };
+    settings.check().map_err(|error| match error {
+        Theirs::Value { key, value, allowed } => source.refuse(key, value, allowed),
+        Theirs::Missing { key, because } => source.missing(key, because),
+        other => ConfigError::ArmSide { location: source.location("arm"), message: other.to_string() },
+    })?;
+    if let Some(port) = &settings.arm.port {
+        settings.arm.port = Some(source.folder().join(port));
+    }
+    Ok(settings)
+}
 
 /// `[rig]`: how the cameras see, and where they stand.
 #[derive(Clone, Debug, PartialEq)]

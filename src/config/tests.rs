@@ -2,7 +2,10 @@
 
 use std::path::PathBuf;
 
+use nalgebra::Vector3;
+
 use super::*;
+use crate::vision::binarize::ColourRange;
 
 /// A cell that is right, in a folder with the files that it names.
 struct Bench {
@@ -50,6 +53,14 @@ state = "place.state"
 
 [realtime]
 grab_priority = 31
+
+[workspace]
+min_mm = [100.0, -100.0, 0.0]
+max_mm = [400.0, 100.0, 200.0]
+
+[arm]
+link = "serial"
+port = "/dev/serial/by-id/arm"
 "#;
 
 impl Bench {
@@ -116,6 +127,10 @@ fn keys_that_nobody_reads_are_errors() {
     );
     let message = bench.message("[deadline]", "[deadlines]");
     assert!(message.starts_with("cell.toml, line 31: deadlines: there is no such key"), "{message}");
+    let message = bench.message("link = \"serial\"", "speed = 3");
+    assert!(
+        message.starts_with("cell.toml, line 48: arm.speed: there is no such key; allowed here: link, port")
+    );
     let message = bench.message("quaternion_xyzw", "rotation");
     assert!(message.contains("rig.base_from_left.rotation: there is no such key"), "{message}");
 }
@@ -176,6 +191,17 @@ fn values_out_of_range_name_key_value_and_what_is_allowed() {
              have 50; above them the cameras would starve)",
         ),
         (
+            "max_mm = [400.0, 100.0, 200.0]",
+            "max_mm = [400.0, -100.0, 200.0]",
+            "cell.toml, line 45: workspace.max_mm = [400.0, -100.0, 200.0] is not possible; allowed: above \
+             workspace.min_mm = [100.0, -100.0, 0.0] on every axis",
+        ),
+        (
+            "link = \"serial\"",
+            "link = \"serial\"\nresends = 99",
+            "cell.toml, line 49: arm.resends = 99 is not possible; allowed: 0 to 20",
+        ),
+        (
             "column_step_mm = [20.0, 0.0, 0.0]",
             "",
             "cell.toml, line 34: place.column_step_mm = [0, 0, 0] is not possible; allowed: a step that is not \
@@ -225,6 +251,14 @@ fn missing_keys_and_files_are_named() {
         "cell.toml, line 26: recognition.parts = \"hook.toml\": no such file or folder (hook.toml); paths start at \
          the folder of cell.toml"
     );
+    assert_eq!(
+        bench.message("port = \"/dev/serial/by-id/arm\"\n", ""),
+        "cell.toml, line 47: arm.port is missing; link = \"serial\" needs the device, e.g. port = \"/dev/ttyUSB0\""
+    );
+    assert_eq!(
+        bench.message("[workspace]", "[gripper]").split(';').next(),
+        Some("cell.toml, line 45: gripper.max_mm: there is no such key")
+    );
     let error = Cell::read(&bench.folder.path().join("none.toml")).expect_err("no file");
     assert!(error.to_string().contains("none.toml: cannot read it: "), "{error}");
     assert!(error.to_string().ends_with("name the cell's file with --cell FILE"), "{error}");
@@ -262,4 +296,24 @@ fn replay_needs_no_cameras() {
     assert_eq!((cell.cameras.backend, cell.cameras.pace), (Backend::Replay, Pace::Fast));
     assert_eq!(cell.cameras.session, Some(bench.folder.path().join("conveyor")));
     assert!(cell.cameras.left.is_none());
+}
+
+#[test]
+fn the_cell_that_comes_with_the_project_is_right() {
+    let cell =
+        Cell::read(&PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("cell.toml")).expect("a right cell");
+    let base_from_left = cell.rig.base_from_left.expect("a base");
+    // The camera looks down: its axis goes towards base −z, and it stands above the workspace.
+    assert!((base_from_left * Vector3::z()).z < -0.99);
+    let workspace = cell.arm_side.workspace;
+    assert!(base_from_left.translation.z > workspace.max_mm[2]);
+    let place = cell.place.expect("a place");
+    let far = place.first_mm
+        + f64::from(place.columns - 1) * place.column_step_mm
+        + f64::from(place.rows - 1) * place.row_step_mm;
+    for slot in [place.first_mm, far] {
+        for axis in 0..3 {
+            assert!(slot[axis] >= workspace.min_mm[axis] && slot[axis] <= workspace.max_mm[axis], "{slot}");
+        }
+    }
 }
