@@ -23,8 +23,13 @@ mod tables;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use firmware_bridge::config::Settings;
 use serde::Deserialize;
 
+use crate::recognize;
+
+pub use crate::vision::binarize::ColourRange;
+pub use crate::vision::thin::Algorithm as ThinMethod;
 pub use cameras::{Backend, CameraSettings, Cameras, ControlValue, PICTURE_SIDE_PX_MAX, Pace, RATE_HZ_MAX};
 pub use error::{ConfigError, Location};
 pub use recognition::{Gate, Harmony, Recognition, SearchMethod};
@@ -51,7 +56,7 @@ pub struct Cell {
     /// Priorities, cores and memory of the threads.
     pub realtime: Realtime,
     /// `[arm]`, `[workspace]` and `[gripper]`, as the bridge process reads them from the same file.
-    pub arm_side: firmware_bridge::config::Settings,
+    pub arm_side: Settings,
 }
 
 #[derive(Debug, Deserialize)]
@@ -99,6 +104,32 @@ impl Cell {
             realtime: written.realtime.check(source)?,
             arm_side,
         })
+    }
+
+    /// What the recogniser is to be made with, left and right regions, workspace, gripper and axes included. Budget,
+    /// seed and threads are arguments of its runs.
+    pub fn recognition_params(&self) -> recognize::Params {
+        let mut params = recognize::Params::default();
+        let written = &self.recognition;
+        let regions = [&written.region_left_px, &written.region_right_px];
+        for (pixels, region) in params.binarize.iter_mut().zip(regions) {
+            pixels.colour = written.colour;
+            pixels.inverted = written.inverted;
+            pixels.speck_px_min = written.min_speck_px;
+            pixels.region_px = region.iter().map(|&[x, y]| [x as f32, y as f32]).collect();
+        }
+        params.thin.algorithm = written.thin;
+        if let Some(fitness_max) = written.fitness_max {
+            params.search.fitness_max = fitness_max;
+        }
+        let Settings { arm, workspace, gripper } = &self.arm_side;
+        params.grasp.base_from_left = self.rig.base_from_left;
+        params.grasp.workspace = self.rig.base_from_left.map(|_| *workspace);
+        params.grasp.gripper = *gripper;
+        params.grasp.axes = arm.axes;
+        params.grasp.tilt_tolerance_rad = arm.tilt_tolerance_deg.to_radians();
+        params.grasp.yaw_tolerance_rad = arm.yaw_tolerance_deg.to_radians();
+        params
     }
 
     /// Time from a frame's stamp to the last byte of its target on the wire: `deadline_ms`, or two frame periods.

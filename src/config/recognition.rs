@@ -72,9 +72,9 @@ pub struct Recognition {
     /// The parts are the pixels outside the range: dark parts on a light floor.
     pub inverted: bool,
     /// Corners of the region of interest in the left picture; empty: all of it.
-    pub region_left_px: Vec<[f32; 2]>,
+    pub region_left_px: Vec<[f64; 2]>,
     /// Corners of the region of interest in the right picture; empty: all of it.
-    pub region_right_px: Vec<[f32; 2]>,
+    pub region_right_px: Vec<[f64; 2]>,
     /// Connected specks with fewer pixels are dropped.
     pub min_speck_px: u32,
     /// Which thinning.
@@ -232,7 +232,7 @@ fn colour(source: &Source, value: &toml::Value) -> Result<ColourRange, ConfigErr
     }
 }
 
-type Polygon = Vec<[f32; 2]>;
+type Polygon = Vec<[f64; 2]>;
 
 fn region(source: &Source, value: &toml::Value) -> Result<(Polygon, Polygon), ConfigError> {
     let refuse = || {
@@ -258,12 +258,12 @@ fn polygon(value: &toml::Value) -> Option<Polygon> {
     corners.filter(|corners| corners.len() >= 3)
 }
 
-fn point(value: &toml::Value) -> Option<[f32; 2]> {
+fn point(value: &toml::Value) -> Option<[f64; 2]> {
     let number = |value: &toml::Value| {
         value.as_float().or_else(|| value.as_integer().map(|n| n as f64)).filter(|n| n.is_finite())
     };
     match value.as_array()?.as_slice() {
-        [x, y] => Some([number(x)? as f32, number(y)? as f32]),
+        [x, y] => Some([number(x)?, number(y)?]),
         _ => None,
     }
 }
