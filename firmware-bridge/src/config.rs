@@ -89,7 +89,8 @@ pub struct Arm {
     pub banner_wait_ms: u32,
     /// One attempt of a handshake, ms, 10 to 60 000; then the next.
     pub handshake_timeout_ms: u32,
-    /// A message or line not acknowledged for so long is sent again where the dialect allows it, ms, 5 to 60 000.
+    /// A message or line not acknowledged for so long (beyond what the line itself takes) is sent again where the
+    /// dialect allows it, ms, 5 to 60 000.
     pub ack_timeout_ms: u32,
     /// How often a message is sent again, 0 to 20; then the connection is given up and made anew.
     pub resends: u32,

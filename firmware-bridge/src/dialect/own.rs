@@ -387,9 +387,10 @@ impl Own {
         codec::encode(&message, out).expect("the buffer is TRANSMIT_LEN_MIN long")
     }
 
-    /// `pending` with one attempt more.
+    /// `pending` with one attempt more; what the line itself takes is no delay of the arm's.
     fn again(&self, pending: Pending, now_ns: i64) -> Pending {
-        Pending { due_ns: now_ns + self.timing.ack_ns, attempts: pending.attempts + 1, ..pending }
+        let due_ns = now_ns + self.timing.ack_ns + 2 * self.beat.delay_ns();
+        Pending { due_ns, attempts: pending.attempts + 1, ..pending }
     }
 
     fn drop_head(&mut self) {

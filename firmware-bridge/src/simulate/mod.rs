@@ -193,7 +193,7 @@ pub enum Fault {
     Refused,
     /// The gripper closes on nothing.
     NotHeld,
-    /// It moves at a tenth of its speed.
+    /// It begins late and moves at a tenth of its speed.
     Slow,
 }
 

@@ -253,7 +253,9 @@ impl OwnFirmware {
         self.last = Some(LastPick { id: pick.id, progress });
         if refusal.is_none() {
             let expires_ns = now_ns + i64::from(pick.ttl_ms) * MS;
-            self.work = Work::Waiting { pick, begin_ns: now_ns + BEGIN_NS, expires_ns };
+            let slow = self.draw(Fault::Slow, 0.3);
+            let begin_ns = now_ns + if slow { self.rng.random_range(10..600) * MS } else { BEGIN_NS };
+            self.work = Work::Waiting { pick, begin_ns, expires_ns };
         }
     }
 

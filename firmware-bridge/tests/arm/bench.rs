@@ -9,7 +9,7 @@ use std::collections::VecDeque;
 pub(crate) const MS: i64 = 1_000_000;
 /// Ten bits at 115200 baud.
 const BYTE_NS: i64 = 86_806;
-/// From one end of the line to the other.
+/// From one end of the line to the other, unless a campaign wants it slower.
 const LATENCY_NS: i64 = 200_000;
 /// The tool's rest, out of the cameras' view.
 pub(crate) const PARK_MM: [f64; 3] = [-200.0, -200.0, 250.0];
@@ -26,13 +26,17 @@ pub(crate) fn settings(dialect: DialectName) -> Settings {
 }
 
 /// One direction of the line: bytes with the moments when they leave and arrive.
-#[derive(Default)]
 struct Wire {
+    latency_ns: i64,
     bytes: VecDeque<(i64, u8)>,
     free_ns: i64,
 }
 
 impl Wire {
+    fn new(latency_ns: i64) -> Self {
+        Self { latency_ns, bytes: VecDeque::new(), free_ns: 0 }
+    }
+
     fn put(&mut self, bytes: &[u8], now_ns: i64) {
         self.free_ns = self.free_ns.max(now_ns);
         for &byte in bytes {
@@ -49,14 +53,14 @@ impl Wire {
 
     fn take(&mut self, now_ns: i64) -> Option<u8> {
         let (left_ns, byte) = *self.bytes.front()?;
-        (left_ns + LATENCY_NS <= now_ns).then(|| {
+        (left_ns + self.latency_ns <= now_ns).then(|| {
             self.bytes.pop_front();
             byte
         })
     }
 
     fn next_ns(&self) -> Option<i64> {
-        self.bytes.front().map(|(left_ns, _)| left_ns + LATENCY_NS)
+        self.bytes.front().map(|(left_ns, _)| left_ns + self.latency_ns)
     }
 }
 
@@ -85,14 +89,18 @@ impl Bench {
 
     /// A cell that expects one dialect and an arm that speaks another.
     pub(crate) fn of_two(cell: DialectName, arm: DialectName, faults: Faults) -> Self {
-        let settings = settings(cell);
+        Self::with(settings(cell), arm, faults, LATENCY_NS)
+    }
+
+    /// With settings and a delay of the line of one's own.
+    pub(crate) fn with(settings: Settings, arm: DialectName, faults: Faults, latency_ns: i64) -> Self {
         let mut bench = Self {
             now_ns: 1_000 * MS,
             cell: Dialect::new(&settings, 100).unwrap(),
             arm: SimulatedArm::new(arm, PARK_MM, faults),
             settings,
-            to_arm: Wire::default(),
-            to_cell: Wire::default(),
+            to_arm: Wire::new(latency_ns),
+            to_cell: Wire::new(latency_ns),
             written: None,
             cut: false,
             reports: Vec::new(),

@@ -3,7 +3,7 @@
 //!
 //! `CAMPAIGN_RUNS` says how many seeds (a short form without it).
 
-use crate::bench::{Bench, DIALECTS, MS};
+use crate::bench::{Bench, DIALECTS, MS, settings};
 use firmware_bridge::config::DialectName;
 use firmware_bridge::message::{Command, Pick, Report};
 use firmware_bridge::simulate::{Fault, Faults};
@@ -46,7 +46,11 @@ impl Run {
     fn new(dialect: DialectName, seed: u64) -> Self {
         let mut rng = Pcg32::seed_from_u64(seed);
         let chosen: Vec<Fault> = FAULTS.into_iter().filter(|_| rng.random_bool(0.4)).collect();
-        let bench = Bench::new(dialect, Faults::new(rng.next_u64(), &chosen));
+        let mut settings = settings(dialect);
+        settings.arm.ack_timeout_ms = rng.random_range(10..100);
+        // A slow line makes late acknowledgements, so that the same is sent twice.
+        let latency_ns = if rng.random_bool(0.5) { 200_000 } else { rng.random_range(1..40) * MS };
+        let bench = Bench::with(settings, dialect, Faults::new(rng.next_u64(), &chosen), latency_ns);
         Self {
             bench,
             rng,
@@ -89,7 +93,9 @@ impl Run {
         } else if self.held && self.bench.command(Command::Release).is_ok() {
             self.held = false;
         } else if self.ready {
-            let pick = self.bench.pick(self.next_id);
+            let mut pick = self.bench.pick(self.next_id);
+            pick.deadline_ms = self.rng.random_range(66..400);
+            pick.ttl_ms = self.rng.random_range(100..800);
             self.next_id += 1;
             if self.bench.command(Command::Pick(pick)).is_ok() {
                 self.ready = false;
