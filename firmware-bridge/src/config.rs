@@ -62,7 +62,7 @@ pub struct Settings {
 #[serde(deny_unknown_fields, default)]
 pub struct Arm {
     /// What carries targets to the arm.
-    pub link: Link,
+    pub link: LinkName,
     /// Device of the serial line; needed for `link = "serial"` and by the bridge process. Prefer a path under
     /// /dev/serial/by-id, which stays when the arm is plugged in elsewhere.
     pub port: Option<PathBuf>,
@@ -118,7 +118,7 @@ pub struct Arm {
 impl Default for Arm {
     fn default() -> Self {
         Self {
-            link: Link::Replay,
+            link: LinkName::Replay,
             port: None,
             baud: 115_200,
             dialect: DialectName::Own,
@@ -177,7 +177,7 @@ pub struct Held {
 /// What carries targets.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Link {
+pub enum LinkName {
     /// The arm of the recorded session, or the simulated one in the same process.
     #[default]
     Replay,
@@ -363,7 +363,7 @@ fn within<T: PartialOrd + std::fmt::Display>(
 
 impl Arm {
     fn check(&self) -> Result<(), ConfigError> {
-        if self.link == Link::Serial && self.port.is_none() {
+        if self.link == LinkName::Serial && self.port.is_none() {
             return Err(ConfigError::Missing {
                 key: "arm.port",
                 because: "link = \"serial\" needs the device, e.g. port = \"/dev/ttyUSB0\"",

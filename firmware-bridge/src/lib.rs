@@ -8,6 +8,7 @@
 //! | [`gate`] | the last check before a target is encoded | hot, pure |
 //! | [`dialect`] | one state machine per language of arms: messages in, bytes out, and back | hot, pure |
 //! | [`gcode`] | the dialects of G-code: move templates, Grbl, Marlin, uArm | hot but for the templates, pure |
+//! | [`link`] | serial line, shared memory, simulated arm: what carries it | edge |
 //! | [`simulate`] | the firmware's end of each language, with faults on demand | pure |
 //!
 //! Nothing here knows the driver. Pure modules get time (nanoseconds of `CLOCK_MONOTONIC`) and randomness as
@@ -25,5 +26,7 @@ pub mod dialect;
 pub mod gate;
 #[cfg(feature = "std")]
 pub mod gcode;
+#[cfg(feature = "std")]
+pub mod link;
 #[cfg(feature = "std")]
 pub mod simulate;

@@ -1,0 +1,131 @@
+//! What carries a dialect's bytes, or the messages themselves, to an arm.
+//!
+//! Takes [`Command`]s, gives [`Report`]s; owns the device. All links have one shape, are driven by one thread (in the
+//! driver the arm's thread, in the bridge the main one) and never block outside of `wait`:
+//! - `command(command, now_ns)`: as in [`crate::dialect`]; what can be written is written at once;
+//! - `poll(now_ns)`: reads and writes what there is; the next report. Call it until `None`;
+//! - `wait(until_ns, wake)`: sleeps until then, until something arrives, or until `wake` can be read;
+//! - `next_deadline_ns()`: the latest moment to call `poll` again if nothing arrives.
+//!
+//! ```no_run
+//! # use firmware_bridge::{config::Settings, link::{Link, monotonic_ns}};
+//! let settings = Settings::read("cell.toml".as_ref())?;
+//! let mut link = Link::open(&settings, 4711)?;
+//! loop {
+//!     while let Some(report) = link.poll(monotonic_ns()) {
+//!         println!("{report:?}");
+//!     }
+//!     link.wait(monotonic_ns() + 10_000_000, None);
+//! }
+//! # #[allow(unreachable_code)]
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod serial;
+mod simulated;
+
+pub use serial::{SerialError, SerialLink};
+pub use simulated::SimulatedLink;
+
+use crate::config::{ConfigError, LinkName, Settings};
+use crate::message::{Command, Refusal, Report};
+use crate::simulate::Faults;
+use rustix::event::{PollFd, PollFlags};
+use rustix::fd::BorrowedFd;
+
+/// One of the links.
+#[derive(Debug)]
+#[allow(clippy::large_enum_variant)] // one a process
+pub enum Link {
+    /// A serial line of this process.
+    Serial(SerialLink),
+    /// A simulated arm in this process.
+    Simulated(SimulatedLink),
+}
+
+/// Why a link cannot be opened.
+#[derive(Debug, thiserror::Error)]
+pub enum LinkError {
+    /// A move template cannot be taken.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The serial line.
+    #[error(transparent)]
+    Serial(#[from] SerialError),
+}
+
+/// Calls the same method of whichever link it is.
+macro_rules! each {
+    ($self:expr, $link:ident => $call:expr) => {
+        match $self {
+            Link::Serial($link) => $call,
+            Link::Simulated($link) => $call,
+        }
+    };
+}
+
+impl Link {
+    /// Opens the link that `[arm]` names. `session_seed` is random, so that two processes differ.
+    ///
+    /// # Errors
+    /// What is missing or taken, with the remedy. Later losses are not errors: the link says
+    /// [`Report::Disconnected`] and tries again by itself.
+    pub fn open(settings: &Settings, session_seed: u32) -> Result<Self, LinkError> {
+        match settings.arm.link {
+            LinkName::Serial => Ok(Link::Serial(SerialLink::open(settings, session_seed)?)),
+            _ => Ok(Link::Simulated(SimulatedLink::new(settings, session_seed, Faults::default())?)),
+        }
+    }
+
+    /// What the cell wants.
+    ///
+    /// # Errors
+    /// Why it was not taken; nothing of it will be sent.
+    pub fn command(&mut self, command: Command, now_ns: i64) -> Result<(), Refusal> {
+        each!(self, link => link.command(command, now_ns))
+    }
+
+    /// Reads and writes what there is; the next report.
+    pub fn poll(&mut self, now_ns: i64) -> Option<Report> {
+        each!(self, link => link.poll(now_ns))
+    }
+
+    /// The latest moment to call `poll` again.
+    pub fn next_deadline_ns(&self) -> Option<i64> {
+        each!(self, link => link.next_deadline_ns())
+    }
+
+    /// Sleeps until `until_ns`, until something arrives, or until `wake` can be read.
+    pub fn wait(&self, until_ns: i64, wake: Option<BorrowedFd<'_>>) {
+        let own = match self {
+            Link::Serial(link) => link.fd(),
+            Link::Simulated(_) => None,
+        };
+        wait_for(&[own, wake], until_ns);
+    }
+}
+
+/// Nanoseconds of `CLOCK_MONOTONIC`.
+pub fn monotonic_ns() -> i64 {
+    let t = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
+    t.tv_sec * 1_000_000_000 + t.tv_nsec
+}
+
+/// Sleeps until one of `fds` (at most four) can be read or `until_ns` has come.
+pub(crate) fn wait_for(fds: &[Option<BorrowedFd<'_>>], until_ns: i64) {
+    let left_ns = until_ns.saturating_sub(monotonic_ns()).clamp(0, 3_600_000_000_000);
+    let timeout =
+        rustix::event::Timespec { tv_sec: left_ns / 1_000_000_000, tv_nsec: left_ns % 1_000_000_000 };
+    // Without a descriptor there is still a time to sleep; any open one fills the unused places.
+    let stdin = rustix::stdio::stdin();
+    let filler = fds.iter().flatten().next().unwrap_or(&stdin);
+    let mut polled: [PollFd<'_>; 4] =
+        std::array::from_fn(|_| PollFd::from_borrowed_fd(*filler, PollFlags::empty()));
+    let mut len = 0;
+    for (slot, fd) in polled.iter_mut().zip(fds.iter().flatten()) {
+        *slot = PollFd::from_borrowed_fd(*fd, PollFlags::IN);
+        len += 1;
+    }
+    // An interrupted sleep is a short one.
+    let _ = rustix::event::poll(&mut polled[..len], Some(&timeout));
+}
