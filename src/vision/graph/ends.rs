@@ -1,12 +1,15 @@
 //! Ends put back to where the part ends.
 //!
-//! Thinning eats about half a thickness at each end. From the last skeleton pixel the line's direction is followed
-//! outwards until the mask ends; grey values along three parallel rays then give the place to a fraction of a
-//! pixel: where the profile crosses half way from the part's level to the background's.
+//! Thinning eats about half a thickness at each end. From the last skeleton
+//! pixel the line's direction is followed outwards until the mask ends; grey values along three parallel rays then
+//! give the place to a fraction of a pixel: where the profile crosses half way from the part's level to the
+//! background's. Where the part fades into the dark the mask ends too early: there the difference to the floor on
+//! both sides is followed until it drops at once.
 
 use super::{Graph, NodeKind};
-use crate::frame::{Frame, PixelFormat};
+use crate::frame::{Frame, LumaView};
 use crate::vision::bits::BitImage;
+use std::ops::Range;
 
 /// Distance of the outer rays from the middle one, in half thicknesses.
 const RAY_OFFSET: f32 = 0.4;
@@ -17,76 +20,158 @@ const CONTRAST_MIN: f32 = 12.0;
 
 /// Puts all ends back.
 pub(super) fn put_back(mask: &BitImage, frame: Option<&Frame>, graph: &mut Graph) {
-    let frame = frame
-        .filter(|f| f.format != PixelFormat::Mjpeg && (f.width, f.height) == (mask.width(), mask.height()));
+    let luma = frame.filter(|f| (f.width, f.height) == (mask.width(), mask.height())).and_then(LumaView::new);
     for e in 0..graph.edges.len() {
         for end in 0..2 {
             let n = graph.edges[e].nodes[end] as usize;
             if graph.nodes.get(n).is_some_and(|n| n.kind == NodeKind::End) {
-                put_back_one(mask, frame, graph, e, end, n);
+                put_back_one(mask, luma.as_ref(), graph, e, end, n);
             }
         }
     }
 }
 
-fn put_back_one(mask: &BitImage, frame: Option<&Frame>, graph: &mut Graph, e: usize, end: usize, n: usize) {
-    let half = graph.edges[e].half_thickness_px.max(0.5);
-    let chain = graph.edge_points(&graph.edges[e]);
-    let Some((origin, direction)) = line_at_end(chain, end == 1, half) else { return };
-    let tip = graph.nodes[n].skeleton_px;
-    let along = (tip[0] - origin[0]) * direction[0] + (tip[1] - origin[1]) * direction[1];
-    let tip_on_line = [origin[0] + along * direction[0], origin[1] + along * direction[1]];
-
-    let (mut sum, mut seen) = (0.0, 0);
-    let reach = 1.6 * half + 3.0;
-    for offset in [-RAY_OFFSET, 0.0, RAY_OFFSET] {
-        let from =
-            [tip_on_line[0] - offset * half * direction[1], tip_on_line[1] + offset * half * direction[0]];
-        let Some(border) = border_in_mask(mask, from, direction, reach) else { continue };
-        sum += frame.map_or(border, |f| border_in_grey(f, from, direction, border, half));
-        seen += 1;
-    }
-    let node = &mut graph.nodes[n];
-    node.end_visible = seen >= 2;
-    let distance = if node.end_visible { sum / seen as f32 } else { half };
-    node.position_px = [tip_on_line[0] + distance * direction[0], tip_on_line[1] + distance * direction[1]];
+/// A straight line outwards from a point.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Ray {
+    pub(super) from: [f32; 2],
+    pub(super) direction: [f32; 2],
 }
 
-/// A point on the line's end and the direction outwards, from the pixels half a thickness to two and a half
-/// thicknesses from the end: nearer ones bend into a corner of the part.
-fn line_at_end(chain: &[[u16; 2]], at_last: bool, half: f32) -> Option<([f32; 2], [f32; 2])> {
-    let skip = (half as usize).min(chain.len() / 4);
-    let take = ((4.0 * half) as usize).max(6).min(chain.len() - skip);
-    let pick = |i: usize| {
-        let p = if at_last { chain[chain.len() - 1 - i] } else { chain[i] };
-        [p[0] as f32, p[1] as f32]
+impl Ray {
+    /// The point this far along, and this far to the right of it.
+    pub(super) fn at(self, along: f32, aside: f32) -> [f32; 2] {
+        let ([x, y], [dx, dy]) = (self.from, self.direction);
+        [x + along * dx - aside * dy, y + along * dy + aside * dx]
+    }
+}
+
+fn put_back_one(mask: &BitImage, luma: Option<&LumaView>, graph: &mut Graph, e: usize, end: usize, n: usize) {
+    let half = graph.edges[e].half_thickness_px.max(0.5);
+    let chain = graph.edge_points(&graph.edges[e]);
+    let Some(ray) = ray_at_end(chain, end == 1, half, graph.nodes[n].skeleton_px) else { return };
+    let node = &mut graph.nodes[n];
+    let (distance, seen) = match free_length(mask, ray, half) {
+        Free::Ends => distance_to_end(mask, luma, ray, half),
+        Free::RunsInto(distance) => (distance.min(half), false),
     };
+    let aside = middle_aside(mask, luma, ray, distance, half);
+    node.position_px = ray.at(distance, aside);
+    node.end_visible = seen;
+}
+
+/// The line through the end of a chain, from its last pixel outwards. Its direction comes from the pixels half a
+/// thickness to two and a half thicknesses from the end: nearer ones bend into a corner of the part.
+pub(super) fn ray_at_end(chain: &[[u16; 2]], at_last: bool, half: f32, tip: [f32; 2]) -> Option<Ray> {
+    let skip = (half as usize).min(chain.len() / 4);
+    let take = ((4.0 * half) as usize).max(14).min(chain.len() - skip);
     if take < 2 {
         return None;
     }
-    let mean = |range: std::ops::Range<usize>| {
+    let mean = |range: Range<usize>| {
         let n = range.len() as f32;
-        let sum = range.map(pick).fold([0.0, 0.0], |s, p| [s[0] + p[0], s[1] + p[1]]);
-        [sum[0] / n, sum[1] / n]
+        let range = if at_last { chain.len() - range.end..chain.len() - range.start } else { range };
+        let sum = chain[range].iter().fold([0u32; 2], |s, p| [s[0] + p[0] as u32, s[1] + p[1] as u32]);
+        [sum[0] as f32 / n, sum[1] as f32 / n]
     };
     let (near, far) = (mean(skip..skip + take / 2), mean(skip + take / 2..skip + take));
     let (dx, dy) = (near[0] - far[0], near[1] - far[1]);
     let length = dx.hypot(dy);
-    (length > 0.1).then(|| (near, [dx / length, dy / length]))
+    if length < 0.1 {
+        return None;
+    }
+    let on_line = Ray { from: near, direction: [dx / length, dy / length] };
+    let along = (tip[0] - near[0]) * on_line.direction[0] + (tip[1] - near[1]) * on_line.direction[1];
+    Some(Ray { from: on_line.at(along, 0.0), ..on_line })
 }
 
-/// Distance from `from` to the mask's border; `None` where it does not end within `reach_px` or the picture ends
-/// first.
-fn border_in_mask(mask: &BitImage, from: [f32; 2], direction: [f32; 2], reach_px: f32) -> Option<f32> {
-    const STEP: f32 = 0.25;
+/// What lies ahead of the last skeleton pixel.
+enum Free {
+    /// The mask ends, with nothing beside it.
+    Ends,
+    /// The mask goes on or widens into another part at this distance, or the picture ends there.
+    RunsInto(f32),
+}
+
+/// Follows the mask outwards, a pixel at a time, and looks to both sides of the part.
+fn free_length(mask: &BitImage, ray: Ray, half: f32) -> Free {
+    let reach = (2.0 * half + 6.0) as i32;
+    let aside = 1.3 * half + 1.5;
+    let mut beside = 0;
+    for step in 0..reach {
+        let along = step as f32;
+        let [x, y] = ray.at(along, 0.0).map(f32::round);
+        if !(x >= 0.0 && y >= 0.0 && x < mask.width() as f32 && y < mask.height() as f32) {
+            return Free::RunsInto(along);
+        }
+        if !mask.get(x as i32, y as i32) {
+            return Free::Ends;
+        }
+        for side in [-aside, aside] {
+            let [x, y] = ray.at(along, side).map(f32::round);
+            beside += mask.get(x as i32, y as i32) as i32;
+        }
+        if beside > 2 {
+            return Free::RunsInto(along);
+        }
+    }
+    Free::RunsInto(reach as f32)
+}
+
+/// Distance from the ray's beginning to the end of the part, and whether it was seen to end there.
+fn distance_to_end(mask: &BitImage, luma: Option<&LumaView>, ray: Ray, half: f32) -> (f32, bool) {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for offset in [0.0, -RAY_OFFSET, RAY_OFFSET] {
+        let ray = Ray { from: ray.at(0.0, offset * half), ..ray };
+        let Some(border) = border_in_mask(mask, ray, 2.0 * half + 8.0) else { continue };
+        if let Some(luma) = luma {
+            if offset == 0.0 {
+                match fading(luma, ray, border, half) {
+                    Fading::No => {}
+                    Fading::EndsAt(distance) => return (distance, true),
+                    Fading::GoesOn => return (border, false),
+                }
+            }
+            sum += border_in_grey(luma, ray, border, half);
+        } else {
+            sum += border;
+        }
+        count += 1.0;
+    }
+    if count > 0.0 { (sum / count, true) } else { (half, false) }
+}
+
+/// How far to the right of the ray the middle of the part is: mean over sections a little before its end. 0 where
+/// none is as wide as the part.
+fn middle_aside(mask: &BitImage, luma: Option<&LumaView>, ray: Ray, distance: f32, half: f32) -> f32 {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for depth in [1.0, 1.6, 2.2, 2.8] {
+        let from = ray.at(distance - depth * half, 0.0);
+        let [dx, dy] = ray.direction;
+        let sides = [[-dy, dx], [dy, -dx]].map(|direction| {
+            let aside = Ray { from, direction };
+            let border = border_in_mask(mask, aside, 1.5 * half + 2.0)?;
+            Some(luma.map_or(border, |luma| border_in_grey(luma, aside, border, half.min(2.0))))
+        });
+        let [Some(right), Some(left)] = sides else { continue };
+        if (0.6..1.5).contains(&((left + right) / (2.0 * half))) {
+            sum += (right - left) / 2.0;
+            count += 1.0;
+        }
+    }
+    if count > 0.0 { sum / count } else { 0.0 }
+}
+
+/// Distance to the mask's border; `None` where it does not end within `reach_px` or the picture ends first.
+fn border_in_mask(mask: &BitImage, ray: Ray, reach_px: f32) -> Option<f32> {
+    const STEP: f32 = 0.5;
     let mut distance = 0.0;
     while distance <= reach_px {
-        let (x, y) = (from[0] + distance * direction[0], from[1] + distance * direction[1]);
-        let (x, y) = (x.round() as i32, y.round() as i32);
-        if x < 0 || y < 0 || x >= mask.width() as i32 || y >= mask.height() as i32 {
+        let [x, y] = ray.at(distance, 0.0).map(f32::round);
+        if !(x >= 0.0 && y >= 0.0 && x < mask.width() as f32 && y < mask.height() as f32) {
             return None;
         }
-        if !mask.get(x, y) {
+        if !mask.get(x as i32, y as i32) {
             return Some(distance - STEP / 2.0);
         }
         distance += STEP;
@@ -95,59 +180,60 @@ fn border_in_mask(mask: &BitImage, from: [f32; 2], direction: [f32; 2], reach_px
 }
 
 /// The mask's border refined: where grey values cross half way between the part and what lies behind its end.
-fn border_in_grey(frame: &Frame, from: [f32; 2], direction: [f32; 2], border: f32, half: f32) -> f32 {
-    let at =
-        |distance: f32| grey_at(frame, from[0] + distance * direction[0], from[1] + distance * direction[1]);
-    let depth = half.clamp(2.0, 4.0);
-    let (Some(inside), Some(outside)) = (
-        mean_of([at(border - depth), at(border - depth - 0.5), at(border - depth - 1.0)]),
-        mean_of([at(border + 2.5), at(border + 3.0), at(border + 3.5)]),
-    ) else {
-        return border;
+fn border_in_grey(luma: &LumaView, ray: Ray, border: f32, half: f32) -> f32 {
+    let at = |distance: f32| {
+        let [x, y] = ray.at(distance, 0.0);
+        luma.sample(x, y)
     };
+    let depth = half.clamp(2.0, 4.0);
+    let inside = (at(border - depth) + at(border - depth - 1.0)) / 2.0;
+    let outside = (at(border + 2.5) + at(border + 3.5)) / 2.0;
     if (inside - outside).abs() < CONTRAST_MIN {
         return border;
     }
     let level = (inside + outside) / 2.0;
     let share = |v: f32| (v - level) / (inside - level);
-    let (mut before, mut distance) = (None::<f32>, border - SHIFT_MAX_PX);
-    while distance <= border + SHIFT_MAX_PX {
-        let Some(now) = at(distance).map(share) else { return border };
-        if let Some(before) = before.filter(|&b| b > 0.0 && now <= 0.0) {
-            return distance - 0.5 * (-now) / (before - now);
+    let (mut before, mut distance) = (share(at(border - SHIFT_MAX_PX)), border - SHIFT_MAX_PX);
+    while distance < border + SHIFT_MAX_PX {
+        let now = share(at(distance + 0.5));
+        if before > 0.0 && now <= 0.0 {
+            return distance + 0.5 * before / (before - now);
         }
-        before = Some(now);
+        before = now;
         distance += 0.5;
     }
     border
 }
 
-fn mean_of(values: [Option<f32>; 3]) -> Option<f32> {
-    let [a, b, c] = values;
-    Some((a? + b? + c?) / 3.0)
+/// Whether a part goes on in grey behind the mask's border.
+enum Fading {
+    No,
+    /// It does, and ends there.
+    EndsAt(f32),
+    /// It does as far as was looked.
+    GoesOn,
 }
 
-/// BT.601 luma between pixels, bilinear; `None` at the picture's rim and beyond.
-fn grey_at(frame: &Frame, x: f32, y: f32) -> Option<f32> {
-    if !(x >= 0.0 && y >= 0.0 && x < (frame.width - 1) as f32 && y < (frame.height - 1) as f32) {
-        return None;
+/// Follows the difference between the ray and the floor on both sides of it beyond the mask's border.
+fn fading(luma: &LumaView, ray: Ray, border: f32, half: f32) -> Fading {
+    let aside = 2.2 * half + 2.0;
+    let signal = |along: f32| {
+        let [here, left, right] = [0.0, -aside, aside].map(|aside| {
+            let [x, y] = ray.at(along, aside);
+            luma.sample(x, y)
+        });
+        here - left.max(right)
+    };
+    let (inside, ahead) = (signal(border - 3.0), signal(border + 3.0));
+    if ahead < 0.4 * inside || ahead < CONTRAST_MIN {
+        return Fading::No;
     }
-    let (u, v) = (x as usize, y as usize);
-    let (a, b) = (x - u as f32, y - v as f32);
-    let upper = luma(frame, u, v)? * (1.0 - a) + luma(frame, u + 1, v)? * a;
-    let lower = luma(frame, u, v + 1)? * (1.0 - a) + luma(frame, u + 1, v + 1)? * a;
-    Some(upper * (1.0 - b) + lower * b)
-}
-
-fn luma(frame: &Frame, x: usize, y: usize) -> Option<f32> {
-    let row = y * frame.stride_bytes;
-    let bytes = &frame.bytes;
-    let rgb = |r: u8, g: u8, b: u8| 0.299 * r as f32 + 0.587 * g as f32 + 0.114 * b as f32;
-    match frame.format {
-        PixelFormat::Rgb => bytes.get(row + 3 * x..row + 3 * x + 3).map(|p| rgb(p[0], p[1], p[2])),
-        PixelFormat::Bgr => bytes.get(row + 3 * x..row + 3 * x + 3).map(|p| rgb(p[2], p[1], p[0])),
-        PixelFormat::Grey | PixelFormat::Nv12 => bytes.get(row + x).map(|&v| v as f32),
-        PixelFormat::Yuyv => bytes.get(row + 2 * x).map(|&v| v as f32),
-        PixelFormat::Mjpeg => None,
+    for step in 1..(10.0 * half) as i32 {
+        let along = border + step as f32;
+        let (before, now) = (signal(along - 3.0), signal(along));
+        if now < 0.5 * before {
+            return Fading::EndsAt(along - 0.5);
+        }
     }
+    Fading::GoesOn
 }

@@ -7,7 +7,8 @@
 //!    Two pixels that touch by a corner belong together only where no side neighbour joins them already, so the
 //!    corners of a staircase are no junctions. Junction pixels that touch are one node, at their centroid.
 //! 2. [`trace`]: chains between nodes, and closed loops.
-//! 3. [`prune`]: spurs shorter than the part is thick go; a junction left with two edges dissolves.
+//! 3. [`prune`]: spurs shorter than the part is thick go; a junction left with two edges dissolves. What Zhang-Suen
+//!    ate of lines along a diagonal, up to all but a pixel, is put back.
 //! 4. [`section`] and [`ends`]: local thickness, and ends put back to where the part ends.
 //!
 //! Positions are in distorted pixels, pixel centres at whole numbers.
@@ -15,6 +16,7 @@
 pub mod ends;
 pub mod pixels;
 pub mod prune;
+mod regrow;
 pub mod section;
 pub mod trace;
 
@@ -41,7 +43,7 @@ pub struct Node {
     pub kind: NodeKind,
     /// Distorted pixel. Junction: centroid of its cluster. End: put back to where the part ends, to sub-pixel.
     pub position_px: [f32; 2],
-    /// The same before the end was put back: the last pixel of the skeleton.
+    /// The same before the end was put back: the last pixel of the skeleton, about half a thickness from the end.
     pub skeleton_px: [f32; 2],
     /// Number of edges that end here; a loop from a node to itself counts twice.
     pub degree: u8,
@@ -85,7 +87,7 @@ pub struct Graph {
     pub nodes: Vec<Node>,
     /// Chains between them.
     pub edges: Vec<Edge>,
-    /// Skeleton pixels (x, y) of all edges.
+    /// Skeleton pixels (x, y) of all edges, and those that Zhang-Suen should have left along diagonals.
     pub points: Vec<[u16; 2]>,
 }
 
@@ -95,6 +97,13 @@ impl Graph {
         self.nodes.clear();
         self.edges.clear();
         self.points.clear();
+    }
+
+    /// Memory for the largest graph that the limits allow: none is taken later.
+    pub fn reserve(&mut self, params: &Params) {
+        self.nodes.reserve(params.nodes_max as usize);
+        self.edges.reserve(params.edges_max as usize);
+        self.points.reserve(params.points_max as usize);
     }
 
     /// The pixels of an edge, in order from its first node to its second.
@@ -218,10 +227,11 @@ impl Graphs {
             assert_eq!((picture.width(), picture.height()), (self.width, self.height), "size of the picture");
         }
         graph.clear();
+        graph.reserve(&self.params);
         self.pixels.run(skeleton)?;
         self.traced.run(&self.params, skeleton, &self.pixels)?;
         self.pruned.run(mask, &self.pixels, &self.traced);
-        self.pruned.write(&self.pixels, &self.traced, graph);
+        self.pruned.write(&self.params, mask, &self.pixels, &self.traced, graph);
         section::measure(mask, graph);
         ends::put_back(mask, frame, graph);
         finish(graph);

@@ -26,6 +26,8 @@ pub struct Pixels {
     pub nodes: Vec<RawNode>,
     /// Pixels of all nodes, node after node.
     pub members: Vec<[u16; 2]>,
+    /// Pixels without any neighbour.
+    pub alone: Vec<[u16; 2]>,
     /// The pixels that belong to a node.
     pub is_node: BitImage,
     /// Pixels with three or more branches.
@@ -54,6 +56,7 @@ impl Pixels {
             nodes_max,
             nodes: Vec::with_capacity(nodes_max as usize),
             members: Vec::with_capacity(params.points_max as usize),
+            alone: Vec::with_capacity(nodes_max as usize),
             is_node: BitImage::new(width, height),
             branch: BitImage::new(width, height),
             label: vec![0; width * height],
@@ -76,6 +79,7 @@ impl Pixels {
     pub(super) fn run(&mut self, skeleton: &BitImage) -> Result<(), Refusal> {
         self.nodes.clear();
         self.members.clear();
+        self.alone.clear();
         self.is_node.clear();
         self.branch.clear();
         for s in 0..skeleton.strips() {
@@ -89,6 +93,10 @@ impl Pixels {
                             self.push(NodeKind::End)?;
                             self.claim(x, y)?;
                             self.close();
+                        }
+                        // More of them than there can be nodes: dust, and not worth a look.
+                        0 if self.alone.len() < self.alone.capacity() => {
+                            self.alone.push([x as u16, y as u16])
                         }
                         3.. => self.branch.set(x, y, true),
                         _ => {}

@@ -5,10 +5,11 @@
 //! size. Where every edge of a junction is a spur, the two longest stay: a short part, not a bump.
 
 use super::pixels::Pixels;
-use super::section::thickness_around;
 use super::trace::Traced;
 use super::{Edge, Graph, NONE, Node, NodeKind, Params};
+use super::{regrow, section::thickness_around};
 use crate::vision::bits::BitImage;
+use std::ops::Range;
 
 /// Rounds of cutting and joining; each can make new spurs only from shorter ones.
 const ROUNDS_MAX: usize = 4;
@@ -261,48 +262,110 @@ impl Pruned {
     }
 
     /// Writes nodes, edges and points; lengths and thicknesses follow.
-    pub(super) fn write(&mut self, pixels: &Pixels, traced: &Traced, graph: &mut Graph) {
+    pub(super) fn write(
+        &mut self,
+        params: &Params,
+        mask: &BitImage,
+        pixels: &Pixels,
+        traced: &Traced,
+        graph: &mut Graph,
+    ) {
         self.renumbered.clear();
         for (n, raw) in pixels.nodes.iter().enumerate() {
             let degree = self.first[n + 1] - self.first[n];
             self.renumbered.push(if degree == 0 { NONE } else { graph.nodes.len() as u32 });
             if degree > 0 {
-                graph.nodes.push(Node {
-                    kind: self.kinds[n],
-                    position_px: raw.centroid_px,
-                    skeleton_px: raw.centroid_px,
-                    degree: degree.min(u8::MAX as u32) as u8,
-                    half_thickness_px: 0.0,
-                    end_visible: false,
-                });
+                graph.nodes.push(node(self.kinds[n], raw.centroid_px, degree));
             }
         }
         for joined in self.edges.iter().filter(|e| e.alive) {
             let begin = graph.points.len();
             for piece in &self.pieces[joined.pieces[0] as usize..joined.pieces[1] as usize] {
-                let range = &traced.edges[piece.edge as usize].points;
-                let points = &traced.points[range.start as usize..range.end as usize];
-                let first = if piece.backward { points.last() } else { points.first() };
-                // Two pieces that meet in one pixel: once is enough.
-                if graph.points.len() > begin && graph.points.last() == first {
-                    graph.points.pop();
-                }
-                if piece.backward {
-                    graph.points.extend(points.iter().rev());
-                } else {
-                    graph.points.extend_from_slice(points);
+                append(&mut graph.points, begin, &traced.points[traced.range(piece.edge)], piece.backward);
+            }
+            let renumber = |n: u32| if n == NONE { NONE } else { self.renumbered[n as usize] };
+            let nodes = joined.nodes.map(renumber);
+            for (end, n) in nodes.into_iter().enumerate().filter(|&(_, n)| n != NONE) {
+                if graph.nodes[n as usize].kind == NodeKind::End {
+                    let tip =
+                        regrow_end(params, mask, &mut graph.points, begin, end == 1, joined.thickness_px);
+                    if let Some(tip) = tip {
+                        graph.nodes[n as usize].skeleton_px = tip;
+                        graph.nodes[n as usize].position_px = tip;
+                    }
                 }
             }
-            let closed = joined.nodes[0] == NONE;
-            let renumber = |n: u32| if n == NONE { NONE } else { self.renumbered[n as usize] };
-            graph.edges.push(Edge {
-                nodes: joined.nodes.map(renumber),
-                points: begin as u32..graph.points.len() as u32,
-                length_px: 0.0,
-                half_thickness_px: joined.thickness_px / 2.0,
-                closed,
-                crossing_bridge: false,
-            });
+            graph.edges.push(edge(nodes, begin..graph.points.len(), joined.thickness_px));
+        }
+        for &pixel in &pixels.alone {
+            let begin = graph.points.len();
+            let room = graph.nodes.len() + 2 <= params.nodes_max as usize
+                && graph.edges.len() < params.edges_max as usize;
+            let points_max = if room { params.points_max as usize } else { 0 };
+            if let Some(thickness) = regrow::from_pixel(mask, pixel, &mut graph.points, points_max) {
+                let first = graph.nodes.len() as u32;
+                for point in [graph.points[begin], graph.points[graph.points.len() - 1]] {
+                    graph.nodes.push(node(NodeKind::End, point.map(f32::from), 1));
+                }
+                graph.edges.push(edge([first, first + 1], begin..graph.points.len(), thickness));
+            }
         }
     }
+}
+
+fn node(kind: NodeKind, at: [f32; 2], degree: u32) -> Node {
+    Node {
+        kind,
+        position_px: at,
+        skeleton_px: at,
+        degree: degree.min(u8::MAX as u32) as u8,
+        half_thickness_px: 0.0,
+        end_visible: false,
+    }
+}
+
+fn edge(nodes: [u32; 2], points: Range<usize>, thickness_px: f32) -> Edge {
+    Edge {
+        nodes,
+        points: points.start as u32..points.end as u32,
+        length_px: 0.0,
+        half_thickness_px: thickness_px / 2.0,
+        closed: nodes[0] == NONE,
+        crossing_bridge: false,
+    }
+}
+
+/// Appends a piece to the chain that began at `begin`; a pixel in which two pieces meet once only.
+fn append(points: &mut Vec<[u16; 2]>, begin: usize, piece: &[[u16; 2]], backward: bool) {
+    let first = if backward { piece.last() } else { piece.first() };
+    if points.len() > begin && points.last() == first {
+        points.pop();
+    }
+    if backward {
+        points.extend(piece.iter().rev());
+    } else {
+        points.extend_from_slice(piece);
+    }
+}
+
+/// Puts back what thinning ate of a diagonal at one end of the chain; its new last pixel.
+fn regrow_end(
+    params: &Params,
+    mask: &BitImage,
+    points: &mut Vec<[u16; 2]>,
+    begin: usize,
+    at_last: bool,
+    thickness_px: f32,
+) -> Option<[f32; 2]> {
+    let chain_end = points.len();
+    if !regrow::extend(mask, points, begin, at_last, thickness_px, params.points_max as usize) {
+        return None;
+    }
+    let tip = points.last()?.map(f32::from);
+    if !at_last {
+        let grown = points.len() - chain_end;
+        points[chain_end..].reverse();
+        points[begin..].rotate_right(grown);
+    }
+    Some(tip)
 }

@@ -9,7 +9,7 @@ const SECTIONS: usize = 7;
 const RUN_MAX: i32 = 128;
 
 /// Object pixels in a row through (x, y), both ways along (dx, dy).
-fn run(mask: &BitImage, x: i32, y: i32, dx: i32, dy: i32) -> i32 {
+pub(super) fn run(mask: &BitImage, x: i32, y: i32, dx: i32, dy: i32) -> i32 {
     let one_way = |sign: i32| {
         (1..RUN_MAX).find(|i| !mask.get(x + sign * i * dx, y + sign * i * dy)).unwrap_or(RUN_MAX) - 1
     };

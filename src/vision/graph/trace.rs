@@ -67,6 +67,12 @@ impl Traced {
         Ok(())
     }
 
+    /// Where the pixels of a chain stand.
+    pub fn range(&self, edge: u32) -> Range<usize> {
+        let points = &self.edges[edge as usize].points;
+        points.start as usize..points.end as usize
+    }
+
     /// Walks from a pixel of node `n` in `direction` to the next node.
     fn chain(
         &mut self,
