@@ -66,7 +66,7 @@ impl Picture {
         self.graphs
             .run(&self.skeleton, &self.mask, Some(raw), &mut self.graph)
             .map_err(|reason| Refusal::Graph { side, reason })?;
-        self.image_nodes.run(&self.graph, &self.camera);
+        self.image_nodes.run(&self.graph, &self.mask, &self.camera);
         let done = Timestamp::now();
         let ns = |from: Timestamp, to: Timestamp| to.since(from).max(0) as u64;
         stages.decode_ns += ns(begin, decoded);

@@ -347,6 +347,9 @@ impl Recognizer {
         stages.pose_ns = end.since(matched).max(0) as u64;
         stages.total_ns = end.since(begin).max(0) as u64;
         out.stages = stages;
+        if std::env::var_os("PICK_DEBUG").is_some() {
+            eprintln!("{stages:?} pool {} explained {} nodes {} stereo {} steps {}", self.pool.len(), self.explained, self.pictures[0].nodes().len(), self.gate.nodes().len(), out.iterations);
+        }
         Ok(())
     }
 
@@ -394,7 +397,7 @@ impl Recognizer {
             let prepared = &parts[hypothesis.part];
             let known = explanations[..*explained].iter().any(|e| {
                 e.hypothesis.part == hypothesis.part
-                    && prepared.distance_mm(&e.fit.left_from_part, &hypothesis.left_from_part) < 5.0
+                    && prepared.distance_mm(&e.fit.left_from_part, &hypothesis.left_from_part) < 2.0
             });
             if known || *explained == EXPLANATIONS_MAX {
                 continue;
@@ -407,7 +410,7 @@ impl Recognizer {
             }
             let same = explanations[..*explained].iter().any(|e| {
                 e.hypothesis.part == hypothesis.part
-                    && prepared.distance_mm(&e.fit.left_from_part, &fit.left_from_part) < 2.0
+                    && prepared.distance_mm(&e.fit.left_from_part, &fit.left_from_part) < 1.0
             });
             if same {
                 continue;
@@ -438,6 +441,14 @@ impl Recognizer {
     /// Lets the explanations compete for the wire.
     fn compete(&mut self, out: &mut Recognition) {
         self.claims.iter_mut().for_each(ClaimMap::clear);
+        if std::env::var_os("PICK_DEBUG").is_some() {
+            for e in &self.explanations[..self.explained] {
+                let p = &self.parts[e.hypothesis.part];
+                let v = &e.verdict;
+                let px: Vec<_> = p.part.nodes.iter().map(|n| self.rig.project_left(&(e.fit.left_from_part * n.position_mm)).unwrap_or_default()).map(|q| (q.x.round(), q.y.round())).collect();
+                eprintln!("{} fit {:.2} {:?} clear {:.2} {:.2} outl {:.2} {:.2} miss {:.2} {:.2} over {:.1} off {:.2} endoff {:.1} seen {} w {:.2} worth {:?} misfit {:.2}", p.part.name, e.hypothesis.fitness, px, v.clear[0], v.clear[1], v.outlined[0], v.outlined[1], v.missing[0], v.missing[1], v.overrun_mm, v.offset_px, v.end_offset_px, v.ends_seen, v.width_ratio, select::worth_mm(&self.params.select, &p.pose_model, v, &self.claims), e.fit.misfit);
+            }
+        }
         while out.parts.len() < PARTS_MAX {
             let best = self.explanations[..self.explained]
                 .iter()

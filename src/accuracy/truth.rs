@@ -75,6 +75,8 @@ pub struct NodeTruth {
     pub name: String,
     /// Its place.
     pub camera_mm: [f64; 3],
+    /// Its projection into the left picture, pixels.
+    pub left_px: [f64; 2],
 }
 
 /// Where a part is to be grasped.

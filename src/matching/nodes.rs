@@ -6,7 +6,9 @@
 
 use nalgebra::Vector2;
 
+use crate::pose::section::mask_run;
 use crate::rig::CameraModel;
+use crate::vision::bits::BitImage;
 use crate::vision::graph::{Graph, NONE, NodeKind};
 
 /// Most directions kept of one node.
@@ -104,7 +106,7 @@ impl ImageNodes {
     }
 
     /// Lists the nodes of `graph`, seen through `camera`. Nodes over `nodes_max` are left out; bends come last.
-    pub fn run(&mut self, graph: &Graph, camera: &CameraModel) {
+    pub fn run(&mut self, graph: &Graph, mask: &BitImage, camera: &CameraModel) {
         self.nodes.clear();
         for node in graph.nodes.iter().take(self.params.nodes_max) {
             let position_px = vector(node.position_px);
@@ -128,7 +130,7 @@ impl ImageNodes {
                 continue;
             }
             self.find_bends(chain, reach);
-            self.add_chain(edge.nodes, chain, reach, edge.half_thickness_px as f64, camera);
+            self.add_chain(edge.nodes, chain, reach, edge.half_thickness_px as f64, mask, camera);
         }
     }
 
@@ -180,12 +182,13 @@ impl ImageNodes {
         chain: &[[u16; 2]],
         reach: f64,
         half_thickness_px: f64,
+        mask: &BitImage,
         camera: &CameraModel,
     ) {
         let last = chain.len() - 1;
         let first_bend = self.bends.first().map_or(last, |b| b.0);
         let last_bend = self.bends.last().map_or(0, |b| b.0);
-        let leg = |from: usize, to: usize| leg_of(chain, from, to, reach, half_thickness_px, camera);
+        let leg = |from: usize, to: usize| leg_of(chain, from, to, reach, half_thickness_px, mask, camera);
         let mut additions = [(usize::MAX, Leg::default()); 2];
         if ends[0] != NONE {
             additions[0] = (ends[0] as usize, leg(0, first_bend));
@@ -258,13 +261,17 @@ fn leg_of(
     to: usize,
     reach: f64,
     half_thickness_px: f64,
+    mask: &BitImage,
     camera: &CameraModel,
 ) -> Leg {
     let span = from.abs_diff(to);
     let skip = ((1.2 * half_thickness_px).round() as usize).min(span / 3);
     let far = ((3.0 * reach) as usize).min(span.saturating_sub(skip).max(skip + 1).min(span));
     let at = |k: usize| if to > from { from + k } else { from - k };
-    let (near_px, far_px) = (smoothed(chain, at(skip), 1), smoothed(chain, at(far), 1));
+    let (near_px, mut far_px) = (smoothed(chain, at(skip), 1), smoothed(chain, at(far), 1));
+    if (far_px - near_px).norm() < TRACK_PX_MIN {
+        far_px = track(mask, near_px, far_px, half_thickness_px);
+    }
     let direction = far_px - near_px;
     let norm = direction.norm();
     Leg {
@@ -273,4 +280,27 @@ fn leg_of(
         near_ray: camera.undistort(near_px),
         length_px: span as f64,
     }
+}
+
+/// Legs shorter than this are followed beyond their chain.
+const TRACK_PX_MIN: f64 = 60.0;
+/// How far they are followed.
+const TRACK_PX_MAX: f64 = 90.0;
+
+/// Follows the wire in the mask from `near` over `far` straight on, through crossings, where its width is not that of
+/// one wire and nothing is learnt; gives the farthest middle of it.
+fn track(mask: &BitImage, near: Vector2<f64>, far: Vector2<f64>, half_thickness_px: f64) -> Vector2<f64> {
+    let mut last = far;
+    let step = half_thickness_px.max(2.0);
+    let mut distance = (far - near).norm() + step;
+    while distance < TRACK_PX_MAX {
+        let Some(direction) = (last - near).try_normalize(1e-9) else { break };
+        let across = Vector2::new(-direction.y, direction.x);
+        let Some((middle, width)) = mask_run(mask, near + direction * distance, across, 2.0) else { break };
+        if width < 2.8 * half_thickness_px + 1.5 && middle.abs() < half_thickness_px {
+            last = near + direction * distance + across * middle;
+        }
+        distance += step;
+    }
+    last
 }

@@ -28,7 +28,7 @@ impl Default for Params {
     fn default() -> Self {
         Self {
             seen_min: 0.4,
-            missing_max: 0.12,
+            missing_max: 0.06,
             overrun_mm_max: 6.0,
             offset_px_max: 0.9,
             end_offset_px_max: 2.5,

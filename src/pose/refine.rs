@@ -205,7 +205,7 @@ impl Refine {
                 );
             }
         }
-        self.observe_ends(model, pose, views, search_px);
+        self.observe_ends(model, pose, views, search_px + 4.0);
     }
 
     fn observe_outlines(

@@ -49,7 +49,7 @@ pub struct Verdict {
     pub overrun_mm: f64,
     /// Free ends that are seen, in both pictures together.
     pub ends_seen: u32,
-    /// Largest distance of a seen end from the expected one, in pixels.
+    /// Second largest distance of a seen end from the expected one, in pixels: one alone may belong to a neighbour.
     pub end_offset_px: f64,
     /// Root mean square distance of the seen middles from the expected ones, in pixels.
     pub offset_px: f64,
@@ -141,11 +141,13 @@ pub fn verify(
     verdict.offset_px = if seen > 0.0 { (squares / seen).sqrt() } else { f64::INFINITY };
     verdict.width_ratio = median(widths);
     (verdict.ends_seen, verdict.end_offset_px) = (0, 0.0);
+    let mut largest: f64 = 0.0;
     for end in &model.ends {
         for view in views {
             if let Some(beyond) = refine.sight_end(model, end, pose, view, END_SEARCH_PX) {
                 verdict.ends_seen += 1;
-                verdict.end_offset_px = verdict.end_offset_px.max(beyond.abs());
+                verdict.end_offset_px = verdict.end_offset_px.max(beyond.abs().min(largest));
+                largest = largest.max(beyond.abs());
             }
         }
     }

@@ -15,6 +15,9 @@ use std::ops::Range;
 const RAY_OFFSET: f32 = 0.4;
 /// Farthest that grey values may move an end from the mask's border, in pixels.
 const SHIFT_MAX_PX: f32 = 2.0;
+/// Most pixels that thinning is taken to have eaten from an end. A diagonal line of even thickness shrinks from its
+/// end by many pixels, a known weakness of Zhang and Suen's conditions (doi:10.1145/62065.62074).
+const EATEN_PX_MAX: f32 = 80.0;
 /// Least difference of grey levels between part and background for grey values to count.
 const CONTRAST_MIN: f32 = 12.0;
 
@@ -95,7 +98,7 @@ enum Free {
 
 /// Follows the mask outwards, a pixel at a time, and looks to both sides of the part.
 fn free_length(mask: &BitImage, ray: Ray, half: f32) -> Free {
-    let reach = (2.0 * half + 6.0) as i32;
+    let reach = EATEN_PX_MAX as i32;
     let aside = 1.3 * half + 1.5;
     let mut beside = 0;
     for step in 0..reach {
@@ -123,7 +126,7 @@ fn distance_to_end(mask: &BitImage, luma: Option<&LumaView>, ray: Ray, half: f32
     let (mut sum, mut count) = (0.0, 0.0);
     for offset in [0.0, -RAY_OFFSET, RAY_OFFSET] {
         let ray = Ray { from: ray.at(0.0, offset * half), ..ray };
-        let Some(border) = border_in_mask(mask, ray, 2.0 * half + 8.0) else { continue };
+        let Some(border) = border_in_mask(mask, ray, EATEN_PX_MAX + 2.0) else { continue };
         if let Some(luma) = luma {
             if offset == 0.0 {
                 match fading(luma, ray, border, half) {
