@@ -152,6 +152,6 @@ pub fn worth_mm(
         return None;
     }
     let px_per_mm = verdict.pieces.first().map_or(1.0, |p| p[0].half_width_px / model.radius_mm).max(1e-3);
-    let against = missing * model.length_mm + verdict.overrun_mm + verdict.end_offset_px / px_per_mm;
+    let against = missing * model.length_mm + verdict.overrun_mm + verdict.ends_off_px / px_per_mm;
     Some((free[0] + free[1]) / 2.0 - params.against * against)
 }

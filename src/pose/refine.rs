@@ -22,6 +22,9 @@ const OBSERVATIONS_MAX: usize = 1024;
 /// See [`Observation::patience`].
 const END_PATIENCE: f64 = 3.0;
 
+/// Where the width is looked at before an end, in half widths.
+const BARE_HALF_WIDTHS: [f64; 3] = [0.8, 1.6, 2.8];
+
 /// How a pose is refined.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Params {
@@ -266,7 +269,7 @@ impl Refine {
                 let Some(beyond) = view.profiler.end(aim.px, aim.along, aim.half_width_px, search_px) else {
                     continue;
                 };
-                if !self.end_is_bare(&aim, view) {
+                if !self.end_is_bare(&aim, beyond, view) {
                     continue;
                 }
                 let beyond = beyond + self.params.end_reach_radii * aim.half_width_px;
@@ -297,19 +300,19 @@ impl Refine {
             view,
         )?;
         let beyond = view.profiler.end(aim.px, aim.along, aim.half_width_px, search_px)?;
-        self.end_is_bare(&aim, view).then_some(beyond + self.params.end_reach_radii * aim.half_width_px)
+        self.end_is_bare(&aim, beyond, view).then_some(beyond + self.params.end_reach_radii * aim.half_width_px)
     }
 
-    /// Whether the wire just before an end is as wide as one wire: an end that lies on another wire is not where
-    /// the bright region ends.
-    fn end_is_bare(&self, aim: &Aim, view: &View) -> bool {
-        [1.5, 3.0].iter().all(|&back| {
-            let at = aim.px - aim.along * (back * aim.half_width_px);
+    /// Whether the wire just before an end seen `beyond` pixels beyond its expected place is as wide as one wire: an
+    /// end that lies on another wire is not where the bright region ends.
+    fn end_is_bare(&self, aim: &Aim, beyond: f64, view: &View) -> bool {
+        BARE_HALF_WIDTHS.iter().all(|&back| {
+            let at = aim.px + aim.along * (beyond - back * aim.half_width_px);
             view.profiler
                 .across(at, aim.across, aim.half_width_px, 1.5)
                 .and_then(|s| s.middle_and_width())
                 .is_some_and(|(middle, width)| {
-                    width < 2.6 * aim.half_width_px && middle.abs() < 0.5 * aim.half_width_px + 1.0
+                    width < 2.4 * aim.half_width_px && middle.abs() < 0.5 * aim.half_width_px + 1.0
                 })
         })
     }

@@ -51,6 +51,8 @@ pub struct Verdict {
     pub ends_seen: u32,
     /// Second largest distance of a seen end from the expected one, in pixels: one alone may belong to a neighbour.
     pub end_offset_px: f64,
+    /// Sum of the distances of all seen ends from the expected ones, in pixels.
+    pub ends_off_px: f64,
     /// Root mean square distance of the seen middles from the expected ones, in pixels.
     pub offset_px: f64,
     /// Width of the outlines over the silhouette's, median.
@@ -141,12 +143,14 @@ pub fn verify(
     verdict.offset_px = if seen > 0.0 { (squares / seen).sqrt() } else { f64::INFINITY };
     verdict.width_ratio = median(widths);
     (verdict.ends_seen, verdict.end_offset_px) = (0, 0.0);
+    verdict.ends_off_px = 0.0;
     let mut largest: f64 = 0.0;
     for end in &model.ends {
         for view in views {
             if let Some(beyond) = refine.sight_end(model, end, pose, view, END_SEARCH_PX) {
                 verdict.ends_seen += 1;
                 verdict.end_offset_px = verdict.end_offset_px.max(beyond.abs().min(largest));
+                verdict.ends_off_px += beyond.abs();
                 largest = largest.max(beyond.abs());
             }
         }
