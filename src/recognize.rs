@@ -348,7 +348,14 @@ impl Recognizer {
         stages.total_ns = end.since(begin).max(0) as u64;
         out.stages = stages;
         if std::env::var_os("PICK_DEBUG").is_some() {
-            eprintln!("{stages:?} pool {} explained {} nodes {} stereo {} steps {}", self.pool.len(), self.explained, self.pictures[0].nodes().len(), self.gate.nodes().len(), out.iterations);
+            eprintln!(
+                "{stages:?} pool {} explained {} nodes {} stereo {} steps {}",
+                self.pool.len(),
+                self.explained,
+                self.pictures[0].nodes().len(),
+                self.gate.nodes().len(),
+                out.iterations
+            );
         }
         Ok(())
     }
@@ -445,8 +452,34 @@ impl Recognizer {
             for e in &self.explanations[..self.explained] {
                 let p = &self.parts[e.hypothesis.part];
                 let v = &e.verdict;
-                let px: Vec<_> = p.part.nodes.iter().map(|n| self.rig.project_left(&(e.fit.left_from_part * n.position_mm)).unwrap_or_default()).map(|q| (q.x.round(), q.y.round())).collect();
-                eprintln!("{} fit {:.2} {:?} clear {:.2} {:.2} outl {:.2} {:.2} miss {:.2} {:.2} over {:.1} off {:.2} endoff {:.1} seen {} w {:.2} worth {:?} misfit {:.2}", p.part.name, e.hypothesis.fitness, px, v.clear[0], v.clear[1], v.outlined[0], v.outlined[1], v.missing[0], v.missing[1], v.overrun_mm, v.offset_px, v.end_offset_px, v.ends_seen, v.width_ratio, select::worth_mm(&self.params.select, &p.pose_model, v, &self.claims), e.fit.misfit);
+                let px: Vec<_> = p
+                    .part
+                    .nodes
+                    .iter()
+                    .map(|n| {
+                        self.rig.project_left(&(e.fit.left_from_part * n.position_mm)).unwrap_or_default()
+                    })
+                    .map(|q| (q.x.round(), q.y.round()))
+                    .collect();
+                eprintln!(
+                    "{} fit {:.2} {:?} clear {:.2} {:.2} outl {:.2} {:.2} miss {:.2} {:.2} over {:.1} off {:.2} endoff {:.1} seen {} w {:.2} worth {:?} misfit {:.2}",
+                    p.part.name,
+                    e.hypothesis.fitness,
+                    px,
+                    v.clear[0],
+                    v.clear[1],
+                    v.outlined[0],
+                    v.outlined[1],
+                    v.missing[0],
+                    v.missing[1],
+                    v.overrun_mm,
+                    v.offset_px,
+                    v.end_offset_px,
+                    v.ends_seen,
+                    v.width_ratio,
+                    select::worth_mm(&self.params.select, &p.pose_model, v, &self.claims),
+                    e.fit.misfit
+                );
             }
         }
         while out.parts.len() < PARTS_MAX {

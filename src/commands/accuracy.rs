@@ -67,7 +67,9 @@ fn run_set(args: &Accuracy, set: &SceneSet, folder: &Path) -> Result<Score, Box<
     });
     let mut recognizer = Recognizer::new(params, rig, parts.clone())?;
     let mut score = Score::default();
-    for scene in set.scenes.iter().filter(|s| std::env::var("PICK_SCENE").is_ok_and(|w| s.name.contains(&w)) || std::env::var("PICK_SCENE").is_err()) {
+    for scene in set.scenes.iter().filter(|s| {
+        std::env::var("PICK_SCENE").is_ok_and(|w| s.name.contains(&w)) || std::env::var("PICK_SCENE").is_err()
+    }) {
         let truth = truth::read_truth(&scene.truth)?;
         let mut found = Recognition::default();
         recognizer.run(&read_pair(scene)?, Budget::Iterations(args.iterations), args.seed, &mut found)?;
@@ -75,11 +77,25 @@ fn run_set(args: &Accuracy, set: &SceneSet, folder: &Path) -> Result<Score, Box<
             for (k, side) in recognizer.pictures().iter().zip(["left", "right"]) {
                 let (w, h) = (k.mask().width() as u32, k.mask().height() as u32);
                 let (m, sk) = (k.mask().to_grey(), k.skeleton().to_grey());
-                let rgb: Vec<u8> = m.iter().zip(&sk).flat_map(|(m, s)| if *s > 0 { [255, 0, 0] } else { [*m / 2; 3] }).collect();
+                let rgb: Vec<u8> = m
+                    .iter()
+                    .zip(&sk)
+                    .flat_map(|(m, s)| if *s > 0 { [255, 0, 0] } else { [*m / 2; 3] })
+                    .collect();
                 let mut im = image::RgbImage::from_raw(w, h, rgb).unwrap();
                 for n in k.nodes() {
                     let (x, y) = (n.position_px.x.round() as u32, n.position_px.y.round() as u32);
-                    if x < w && y < h { im.put_pixel(x, y, image::Rgb(match n.role { crate::matching::nodes::NodeRole::End => [0, 255, 0], crate::matching::nodes::NodeRole::Junction => [0, 255, 255], _ => [255, 255, 0] })); }
+                    if x < w && y < h {
+                        im.put_pixel(
+                            x,
+                            y,
+                            image::Rgb(match n.role {
+                                crate::matching::nodes::NodeRole::End => [0, 255, 0],
+                                crate::matching::nodes::NodeRole::Junction => [0, 255, 255],
+                                _ => [255, 255, 0],
+                            }),
+                        );
+                    }
                 }
                 im.save(Path::new(&dir).join(format!("{}-{}-{side}.png", set.name, scene.name))).unwrap();
             }
@@ -117,7 +133,11 @@ fn tell(
     for (o, object) in truth.objects.iter().enumerate() {
         if !verdicts.iter().any(|v| v.object.is_some_and(|(k, _)| k == o)) {
             let visible = object.visible_left.min(object.visible_right);
-            println!("    {name} object {o} {} missed, visible {visible:.2} {:?}", object.part, object.nodes.iter().map(|n| n.left_px).collect::<Vec<_>>());
+            println!(
+                "    {name} object {o} {} missed, visible {visible:.2} {:?}",
+                object.part,
+                object.nodes.iter().map(|n| n.left_px).collect::<Vec<_>>()
+            );
         }
     }
 }

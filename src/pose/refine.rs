@@ -300,7 +300,8 @@ impl Refine {
             view,
         )?;
         let beyond = view.profiler.end(aim.px, aim.along, aim.half_width_px, search_px)?;
-        self.end_is_bare(&aim, beyond, view).then_some(beyond + self.params.end_reach_radii * aim.half_width_px)
+        self.end_is_bare(&aim, beyond, view)
+            .then_some(beyond + self.params.end_reach_radii * aim.half_width_px)
     }
 
     /// Whether the wire just before an end seen `beyond` pixels beyond its expected place is as wide as one wire: an
