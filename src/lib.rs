@@ -18,6 +18,7 @@ pub mod part;
 pub mod picture;
 pub mod pose;
 pub mod recognize;
+pub mod report;
 pub mod rig;
 pub mod session;
 pub mod time;

@@ -1,20 +1,75 @@
 //! The `pickcell` program.
-use clap::Parser;
 
+use std::fmt::Display;
+use std::io::Write;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand, ValueEnum};
+use pickcell::commands::{accuracy, recognize};
+
+/// Drives a robot cell: two webcams see thin parts in a bin, the arm gets grasp targets
 #[derive(Parser)]
-enum Cli {
-    Accuracy(pickcell::commands::accuracy::Accuracy),
+#[command(
+    version,
+    after_help = "Results go to standard output, diagnostics to standard error.\nExit code: 0 done, 1 the job failed, 2 wrong usage or configuration."
+)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    /// How diagnostics are written
+    #[arg(long, global = true, value_enum, default_value_t = LogFormat::Text)]
+    log_format: LogFormat,
 }
 
-fn main() -> std::process::ExitCode {
-    let result = match Cli::parse() {
-        Cli::Accuracy(a) => pickcell::commands::accuracy::run(&a),
-    };
-    match result {
-        Ok(code) => code.into(),
-        Err(e) => {
-            eprintln!("{e}");
-            1.into()
-        }
+#[derive(Subcommand)]
+enum Command {
+    Recognize(Box<recognize::RecognizeArgs>),
+    Accuracy(accuracy::Accuracy),
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum LogFormat {
+    /// Lines for people
+    Text,
+    /// One JSON object a line
+    Json,
+}
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    start_log(cli.log_format);
+    match cli.command {
+        Command::Recognize(args) => match recognize::run(&args) {
+            Ok(()) => ExitCode::SUCCESS,
+            Err(e) if e.is_closed_pipe() => ExitCode::SUCCESS,
+            Err(e) => fail(cli.log_format, &e, e.exit_code()),
+        },
+        Command::Accuracy(args) => match accuracy::run(&args) {
+            Ok(code) => code.into(),
+            Err(e) => fail(cli.log_format, &e, 1),
+        },
     }
+}
+
+/// Diagnostics go to standard error; `PICKCELL_LOG` chooses what, as in `PICKCELL_LOG=debug`.
+fn start_log(format: LogFormat) {
+    use tracing_subscriber::EnvFilter;
+    let filter = EnvFilter::try_from_env("PICKCELL_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    let started = match format {
+        LogFormat::Text => log.with_target(false).try_init(),
+        LogFormat::Json => log.json().try_init(),
+    };
+    // a second logger in one process is no reason to stop
+    drop(started);
+}
+
+/// Says what went wrong, and gives the exit code.
+fn fail(format: LogFormat, error: &dyn Display, code: u8) -> ExitCode {
+    match format {
+        // standard error may be closed: nothing is left to say it to
+        LogFormat::Text => drop(writeln!(std::io::stderr(), "error: {error}")),
+        LogFormat::Json => tracing::error!("{error}"),
+    }
+    code.into()
 }

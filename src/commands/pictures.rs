@@ -1,0 +1,174 @@
+//! Which pictures make pairs, and how they are read from files.
+
+use std::collections::BTreeMap;
+use std::ffi::OsStr;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use super::recognize::RecognizeError;
+use crate::frame::{Frame, FramePair};
+use crate::rig::Rig;
+use crate::session::read_picture;
+use crate::vision::decode::{Decoder, Output};
+
+/// Two picture files that belong together. A side is `None` where its picture is missing.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PairFiles {
+    /// The folder's name, or the files' name without ending.
+    pub name: String,
+    /// Where to look, for the message about a missing picture.
+    pub folder: PathBuf,
+    /// Left and right.
+    pub files: [Option<PathBuf>; 2],
+}
+
+const SIDES: [&str; 2] = ["left", "right"];
+
+/// The pairs of a folder in order of name: the pictures of equal name of `left/` and `right/` where it has both, else
+/// every folder in it that holds a `left` or a `right` picture.
+///
+/// # Errors
+/// The folder cannot be listed, or there is no pair in it.
+pub fn pairs_of(folder: &Path) -> Result<Vec<PairFiles>, RecognizeError> {
+    let is_session = SIDES.iter().all(|side| folder.join(side).is_dir());
+    let pairs = if is_session { session_pairs(folder)? } else { folder_pairs(folder)? };
+    if !pairs.iter().any(|p| p.files.iter().all(Option::is_some)) {
+        return Err(RecognizeError::NoPairs { path: folder.to_owned() });
+    }
+    Ok(pairs)
+}
+
+fn session_pairs(folder: &Path) -> Result<Vec<PairFiles>, RecognizeError> {
+    let mut names: BTreeMap<String, [Option<PathBuf>; 2]> = BTreeMap::new();
+    for (i, side) in SIDES.iter().enumerate() {
+        for path in entries(&folder.join(side))? {
+            if let (true, Some(stem)) = (is_picture(&path), path.file_stem()) {
+                let place = &mut names.entry(stem.to_string_lossy().into_owned()).or_default()[i];
+                // of two endings the first in the alphabet
+                place.get_or_insert(path);
+            }
+        }
+    }
+    let pair = |(name, files)| PairFiles { name, folder: folder.to_owned(), files };
+    Ok(names.into_iter().map(pair).collect())
+}
+
+fn folder_pairs(folder: &Path) -> Result<Vec<PairFiles>, RecognizeError> {
+    let mut pairs = Vec::new();
+    for path in entries(folder)? {
+        if !path.is_dir() {
+            continue;
+        }
+        // what cannot be listed is no pair
+        let pictures: Vec<PathBuf> = entries(&path).unwrap_or_default();
+        let find = |side: &str| {
+            pictures.iter().find(|p| p.file_stem() == Some(OsStr::new(side)) && is_picture(p)).cloned()
+        };
+        let files = SIDES.map(find);
+        if files.iter().any(Option::is_some) {
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            pairs.push(PairFiles { name, folder: path, files });
+        }
+    }
+    Ok(pairs)
+}
+
+/// What a folder holds, in order of name.
+fn entries(folder: &Path) -> Result<Vec<PathBuf>, RecognizeError> {
+    let failed = |source| RecognizeError::Folder { path: folder.to_owned(), source };
+    let list = fs::read_dir(folder).map_err(failed)?;
+    let mut paths = list.map(|e| e.map(|e| e.path())).collect::<Result<Vec<_>, _>>().map_err(failed)?;
+    paths.sort();
+    Ok(paths)
+}
+
+fn is_picture(path: &Path) -> bool {
+    let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    matches!(&*ending, "png" | "jpg" | "jpeg")
+}
+
+/// Reads both pictures of a pair and checks their sizes. A JPEG stays compressed, as a camera would send it.
+///
+/// # Errors
+/// A picture is missing, cannot be read, or has not the calibration's size.
+pub fn read_pair(pair: &PairFiles, rig: &Rig) -> Result<(FramePair, [PathBuf; 2]), RecognizeError> {
+    let mut paths: [PathBuf; 2] = Default::default();
+    for (i, side) in SIDES.into_iter().enumerate() {
+        match &pair.files[i] {
+            Some(path) => paths[i].clone_from(path),
+            None => {
+                let path = pair.folder.join(side);
+                return Err(RecognizeError::MissingPicture { path, side });
+            }
+        }
+    }
+    let read = |path: &PathBuf| {
+        if fs::metadata(path).is_ok_and(|m| !m.is_file()) {
+            return Err(RecognizeError::NoFile { path: path.clone() });
+        }
+        let frame = read_picture(path)?;
+        rig.check_size(frame.width, frame.height)
+            .map_err(|reason| RecognizeError::Size { path: path.clone(), reason })?;
+        Ok(frame)
+    };
+    let frames = FramePair { left: read(&paths[0])?, right: read(&paths[1])? };
+    Ok((frames, paths))
+}
+
+/// The picture without compression, in colour.
+///
+/// # Errors
+/// A JPEG that is damaged or cut short.
+pub fn decoded(frame: &Frame, path: &Path) -> Result<Frame, RecognizeError> {
+    let mut decoder = Decoder::new(Output::Rgb, frame.width, frame.height);
+    let raw = decoder.run(frame);
+    raw.cloned().map_err(|reason| RecognizeError::Decode { path: path.to_owned(), reason })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn touch(path: PathBuf) {
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, b"x").unwrap();
+    }
+
+    #[test]
+    fn folders_of_pairs_are_listed_in_order_of_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        for name in
+            ["b/left.png", "b/right.JPG", "a/left.jpg", "a/right.jpg", "c/left.png", "d/truth.json", "e.png"]
+        {
+            touch(at(name));
+        }
+        let pairs = pairs_of(folder.path()).unwrap();
+        let names: Vec<_> = pairs.iter().map(|p| p.name.as_str()).collect();
+        assert_eq!(names, ["a", "b", "c"]);
+        assert_eq!(pairs[1].files, [Some(at("b/left.png")), Some(at("b/right.JPG"))]);
+        assert_eq!(pairs[2].files[1], None);
+    }
+
+    #[test]
+    fn a_session_is_listed_by_equal_names() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        for name in
+            ["left/1.jpg", "left/2.png", "right/1.jpg", "right/2.jpg", "left/notes.txt", "session.toml"]
+        {
+            touch(at(name));
+        }
+        let pairs = pairs_of(folder.path()).unwrap();
+        assert_eq!(pairs.len(), 2);
+        assert_eq!(pairs[1].files, [Some(at("left/2.png")), Some(at("right/2.jpg"))]);
+    }
+
+    #[test]
+    fn what_holds_no_pair_is_said() {
+        let folder = tempfile::tempdir().unwrap();
+        let message = |path: &Path| pairs_of(path).unwrap_err().to_string();
+        assert!(message(folder.path()).contains("no pair in it; it must hold folders with left.png|jpg"));
+        assert!(message(&folder.path().join("absent")).contains("absent: cannot list this folder"));
+    }
+}

@@ -1,0 +1,131 @@
+//! What can stop `pickcell recognize`.
+
+use std::io;
+use std::path::PathBuf;
+
+use crate::config::ConfigError;
+use crate::part::PartError;
+use crate::recognize;
+use crate::rig::RigError;
+use crate::session::PictureError;
+use crate::vision::binarize::ParamsError;
+use crate::vision::decode::DecodeError;
+
+/// Why a pair, or all of them, could not be recognised.
+#[derive(Debug, thiserror::Error)]
+pub enum RecognizeError {
+    /// The cell's file.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The calibration.
+    #[error(transparent)]
+    Rig(#[from] RigError),
+    /// A part file.
+    #[error(transparent)]
+    Part(#[from] PartError),
+    /// Colour range or region.
+    #[error(transparent)]
+    Params(#[from] ParamsError),
+    /// A search that cannot be run.
+    #[error("the search {search:?} cannot be run here; take auto or exhaustive")]
+    NoSuchSearch {
+        /// Which.
+        search: crate::config::SearchMethod,
+    },
+    /// No pictures were named.
+    #[error("no pictures: give --left and --right, or --pairs with a folder of pairs")]
+    NoPictures,
+    /// A folder that cannot be listed.
+    #[error("{}: cannot list this folder: {source}; give --pairs a folder of pairs", path.display())]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// No pair in a folder.
+    #[error("{}: no pair in it; it must hold folders with left.png|jpg and right.png|jpg, or folders left/ and right/ with pictures of equal names", path.display())]
+    NoPairs {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// One of the two pictures is not there.
+    #[error("{}: the {side} picture of this pair is missing; a pair is two pictures, png or jpg", path.display())]
+    MissingPicture {
+        /// Where it is looked for.
+        path: PathBuf,
+        /// `left` or `right`.
+        side: &'static str,
+    },
+    /// A device, pipe or folder in place of a picture.
+    #[error("{}: is no regular file; give a png or jpg picture", path.display())]
+    NoFile {
+        /// The path.
+        path: PathBuf,
+    },
+    /// A picture file that cannot be used.
+    #[error(transparent)]
+    Picture(#[from] PictureError),
+    /// A JPEG that cannot be decoded.
+    #[error("{}: {reason}", path.display())]
+    Decode {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: DecodeError,
+    },
+    /// A picture of another size than the calibration's.
+    #[error("{}: {reason}", path.display())]
+    Size {
+        /// The picture.
+        path: PathBuf,
+        /// Both sizes and what to do.
+        reason: RigError,
+    },
+    /// The recogniser refused the pair.
+    #[error("{} and {}: {reason}", left.display(), right.display())]
+    Refused {
+        /// Left picture.
+        left: PathBuf,
+        /// Right picture.
+        right: PathBuf,
+        /// Why.
+        reason: recognize::Refusal,
+    },
+    /// A result that cannot be written.
+    #[error("{}: cannot be written: {source}; nothing of it was kept", path.display())]
+    Write {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// Standard output is gone.
+    #[error("standard output: {0}")]
+    Stdout(io::Error),
+    /// Pairs of a folder that failed; each has had its line.
+    #[error("{failed} of {pairs} pairs could not be recognised; their lines say why")]
+    PairsFailed {
+        /// How many failed.
+        failed: usize,
+        /// Of how many.
+        pairs: usize,
+    },
+}
+
+impl RecognizeError {
+    /// 1 where the job failed, 2 where what was given to it cannot be used.
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            RecognizeError::Write { .. } | RecognizeError::Stdout(_) | RecognizeError::PairsFailed { .. } => {
+                1
+            }
+            _ => 2,
+        }
+    }
+
+    /// Whether whoever read standard output has closed it (`| head`), which is no failure.
+    pub fn is_closed_pipe(&self) -> bool {
+        matches!(self, RecognizeError::Stdout(e) if e.kind() == io::ErrorKind::BrokenPipe)
+    }
+}

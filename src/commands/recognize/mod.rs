@@ -1,0 +1,171 @@
+//! `pickcell recognize`: parts in one stereo pair, or in every pair of a folder.
+
+mod args;
+mod error;
+mod output;
+mod setup;
+
+use std::fs;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+pub use args::RecognizeArgs;
+pub use error::RecognizeError;
+
+use self::args::Format;
+use self::output::{PairError, PairResult, to_json};
+use self::setup::Setup;
+use super::pictures::{PairFiles, decoded, read_pair};
+use crate::files::write_atomically;
+use crate::frame::{Frame, FramePair};
+use crate::recognize::{Recognition, Recognizer, Refusal, StageTimes};
+use crate::report::overlay::Overlay;
+use crate::report::{Canvas, stages};
+
+/// Recognises; results go to standard output and to the files that were asked for.
+///
+/// # Errors
+/// [`RecognizeError`]; its exit code says whether the job or what was given to it is to blame.
+pub fn run(args: &RecognizeArgs) -> Result<(), RecognizeError> {
+    let setup = Setup::new(args)?;
+    let recognizer = Recognizer::new(setup.params.clone(), setup.rig, setup.parts.clone())?;
+    let mut job = Job { args, setup: &setup, recognizer, found: Recognition::default(), runs: Vec::new() };
+    let mut failed = 0;
+    for pair in &setup.pairs {
+        match job.pair(pair) {
+            Ok(()) => {}
+            Err(e) if setup.many && e.exit_code() == 2 => {
+                failed += 1;
+                job.tell_error(pair, &e)?;
+            }
+            Err(e) => return Err(e),
+        }
+    }
+    match failed {
+        0 => Ok(()),
+        failed => Err(RecognizeError::PairsFailed { failed, pairs: setup.pairs.len() }),
+    }
+}
+
+/// The work on all pairs.
+struct Job<'a> {
+    args: &'a RecognizeArgs,
+    setup: &'a Setup,
+    recognizer: Recognizer,
+    found: Recognition,
+    runs: Vec<StageTimes>,
+}
+
+impl Job<'_> {
+    fn pair(&mut self, pair: &PairFiles) -> Result<(), RecognizeError> {
+        let (frames, paths) = read_pair(pair, &self.setup.rig)?;
+        self.runs.clear();
+        for _ in 0..self.args.repeat {
+            let budget = self.setup.limit.budget();
+            self.recognizer
+                .run(&frames, budget, self.setup.seed, &mut self.found)
+                .map_err(|reason| refused(reason, &frames, &paths))?;
+            self.runs.push(self.found.stages);
+        }
+        self.write_pictures(pair, &frames, &paths)?;
+        let name = self.setup.many.then_some(pair.name.as_str());
+        let frame = if self.setup.base_from_left.is_some() { "base" } else { "left" };
+        let result = PairResult::new(name, &self.found, &self.setup.parts, frame, &self.runs);
+        if let Some(folder) = &self.args.out {
+            write_file(&folder.join(&pair.name), "results.json", (result.to_json() + "\n").as_bytes())?;
+        }
+        let mut text = Vec::new();
+        match self.args.format {
+            Format::Json => text.extend((result.to_json() + "\n").bytes()),
+            Format::Text => result.write_text(&mut text).map_err(RecognizeError::Stdout)?,
+        }
+        print(&text)
+    }
+
+    /// The pictures of the stages and the overlay, where asked for.
+    fn write_pictures(
+        &self,
+        pair: &PairFiles,
+        frames: &FramePair,
+        paths: &[PathBuf; 2],
+    ) -> Result<(), RecognizeError> {
+        if self.args.overlay.is_none() && self.args.stages.is_none() {
+            return Ok(());
+        }
+        let raw = [decoded(&frames.left, &paths[0])?, decoded(&frames.right, &paths[1])?];
+        let overlay = self.overlay(&raw);
+        if let Some(path) = &self.args.overlay {
+            let folder = path.parent().unwrap_or(Path::new(""));
+            write_png(folder, &path.file_name().unwrap_or_default().to_string_lossy(), &overlay)?;
+        }
+        let Some(folder) = &self.args.stages else { return Ok(()) };
+        let folder = if self.setup.many { folder.join(&pair.name) } else { folder.clone() };
+        for (side, picture) in ["left", "right"].into_iter().zip(self.recognizer.pictures()) {
+            write_png(&folder, &format!("{side}-binary.png"), &stages::bits(picture.mask()))?;
+            write_png(&folder, &format!("{side}-skeleton.png"), &stages::bits(picture.skeleton()))?;
+            write_png(
+                &folder,
+                &format!("{side}-graph.png"),
+                &stages::graph(picture.mask(), picture.graph()),
+            )?;
+        }
+        write_png(&folder, "overlay.png", &overlay)
+    }
+
+    fn overlay(&self, raw: &[Frame; 2]) -> Canvas {
+        let [left, right] = self.recognizer.pictures();
+        let caption = self.found.no_pick.map(|reason| format!("no pick: {reason}")).unwrap_or_default();
+        let overlay = Overlay {
+            frames: [&raw[0], &raw[1]],
+            graphs: [left.graph(), right.graph()],
+            rig: &self.setup.rig,
+            parts: &self.setup.parts,
+            found: &self.found.parts,
+            base_from_left: self.setup.base_from_left.unwrap_or_default(),
+            caption: &caption,
+        };
+        overlay.draw()
+    }
+
+    /// The line of a bad pair.
+    fn tell_error(&self, pair: &PairFiles, e: &RecognizeError) -> Result<(), RecognizeError> {
+        let line = match self.args.format {
+            Format::Json => to_json(&PairError { pair: &pair.name, error: e.to_string() }),
+            Format::Text => format!("pair {}: error: {e}", pair.name),
+        };
+        print((line + "\n").as_bytes())
+    }
+}
+
+/// What the recogniser refused, with the file's name and, for a damaged picture, the decoder's reason.
+fn refused(reason: Refusal, frames: &FramePair, paths: &[PathBuf; 2]) -> RecognizeError {
+    if let Refusal::Damaged { .. } = reason {
+        for (frame, path) in [(&frames.left, &paths[0]), (&frames.right, &paths[1])] {
+            if let Err(e) = decoded(frame, path) {
+                return e;
+            }
+        }
+    }
+    let [left, right] = paths.clone();
+    RecognizeError::Refused { left, right, reason }
+}
+
+fn print(text: &[u8]) -> Result<(), RecognizeError> {
+    let mut out = io::stdout().lock();
+    out.write_all(text).and_then(|()| out.flush()).map_err(RecognizeError::Stdout)
+}
+
+fn write_png(folder: &Path, name: &str, picture: &Canvas) -> Result<(), RecognizeError> {
+    let png = picture.to_png();
+    let png = png.map_err(|source| RecognizeError::Write { path: folder.join(name), source })?;
+    write_file(folder, name, &png)
+}
+
+/// Writes a file, and its folder where it is not there.
+fn write_file(folder: &Path, name: &str, bytes: &[u8]) -> Result<(), RecognizeError> {
+    let path = folder.join(name);
+    let is_here = folder.as_os_str().is_empty();
+    let made = if is_here { Ok(()) } else { fs::create_dir_all(folder) };
+    let written = made.and_then(|()| write_atomically(&path, bytes));
+    written.map_err(|source| RecognizeError::Write { path, source })
+}

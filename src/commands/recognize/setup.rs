@@ -1,0 +1,153 @@
+//! Command line and cell → what recognition is built of.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use nalgebra::Isometry3;
+
+use super::args::RecognizeArgs;
+use super::error::RecognizeError;
+use crate::commands::params;
+use crate::commands::pictures::{PairFiles, pairs_of};
+use crate::config::{Backend, Cell, SearchMethod};
+use crate::part::Part;
+use crate::recognize::Params;
+use crate::rig::Rig;
+use crate::time::{Budget, Timestamp};
+use crate::vision::binarize;
+
+/// How long a search may go on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Limit {
+    /// From when the pictures are read.
+    Deadline(Duration),
+    /// Iterations.
+    Iterations(u64),
+}
+
+/// Time for a pair where nothing else is said.
+const DEADLINE: Duration = Duration::from_millis(30);
+
+impl Limit {
+    pub(super) fn budget(self) -> Budget {
+        match self {
+            Limit::Deadline(time) => Budget::Until(Timestamp::now().after(time)),
+            Limit::Iterations(n) => Budget::Iterations(n),
+        }
+    }
+}
+
+/// Everything that is the same for all pairs.
+pub(super) struct Setup {
+    pub(super) params: Params,
+    pub(super) rig: Rig,
+    pub(super) parts: Vec<Part>,
+    pub(super) limit: Limit,
+    pub(super) seed: u64,
+    pub(super) base_from_left: Option<Isometry3<f64>>,
+    pub(super) pairs: Vec<PairFiles>,
+    /// Whether a folder was given: a bad pair is then a line, not the end.
+    pub(super) many: bool,
+}
+
+impl Setup {
+    /// Reads all files but the pictures.
+    pub(super) fn new(args: &RecognizeArgs) -> Result<Self, RecognizeError> {
+        let cell = args.cell.as_deref().map(Cell::read).transpose()?;
+        let cell = cell.as_ref();
+        let calibration = args.calibration.as_ref().or(cell.map(|c| &c.rig.calibration));
+        let parts =
+            if args.parts.is_empty() { cell.map(|c| &c.recognition.parts) } else { Some(&args.parts) };
+        let (Some(calibration), Some(parts)) = (calibration, parts) else {
+            // clap asks for both where there is no cell
+            return Err(RecognizeError::NoPictures);
+        };
+        let search =
+            args.search.map(SearchMethod::from).or(cell.map(|c| c.recognition.search)).unwrap_or_default();
+        if !matches!(search, SearchMethod::Auto | SearchMethod::Exhaustive) {
+            return Err(RecognizeError::NoSuchSearch { search });
+        }
+        let rig = Rig::read(calibration)?;
+        let parts = Part::read_all(parts)?;
+        let (pairs, many) = pictures(args, cell)?;
+        let recognition = cell.map(|c| &c.recognition);
+        Ok(Self {
+            params: params(args, cell),
+            rig,
+            parts,
+            limit: limit(args, cell),
+            seed: args.seed.or(recognition.map(|r| r.seed)).unwrap_or(1),
+            base_from_left: cell.and_then(|c| c.rig.base_from_left),
+            pairs,
+            many,
+        })
+    }
+}
+
+fn pictures(args: &RecognizeArgs, cell: Option<&Cell>) -> Result<(Vec<PairFiles>, bool), RecognizeError> {
+    if let (Some(left), Some(right)) = (&args.left, &args.right) {
+        let name = left.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let files = [left, right].map(|path| Some(path.clone()));
+        return Ok((vec![PairFiles { name, folder: PathBuf::new(), files }], false));
+    }
+    let session =
+        cell.filter(|c| c.cameras.backend == Backend::Replay).and_then(|c| c.cameras.session.as_ref());
+    let folder = args.pairs.as_ref().or(session).ok_or(RecognizeError::NoPictures)?;
+    Ok((pairs_of(folder)?, true))
+}
+
+fn limit(args: &RecognizeArgs, cell: Option<&Cell>) -> Limit {
+    if let Some(n) = args.iterations {
+        return Limit::Iterations(n);
+    }
+    if let Some(ms) = args.deadline_ms {
+        return Limit::Deadline(Duration::from_secs_f64(ms / 1000.0));
+    }
+    match cell {
+        Some(cell) => match cell.recognition.iterations {
+            Some(n) => Limit::Iterations(n),
+            None => Limit::Deadline(cell.deadline.unwrap_or(DEADLINE)),
+        },
+        None => Limit::Deadline(DEADLINE),
+    }
+}
+
+fn params(args: &RecognizeArgs, cell: Option<&Cell>) -> Params {
+    let mut params = cell.map_or_else(params::plain, params::of_cell);
+    for pixels in &mut params.binarize {
+        if let Some(colour) = colour(args) {
+            pixels.colour = colour;
+        }
+        if let Some(least) = args.min_speck_px {
+            pixels.speck_px_min = least;
+        }
+        if let Some(region) = &args.region_px {
+            pixels.region_px.clone_from(region);
+        }
+        pixels.inverted |= args.inverted;
+    }
+    if let Some(thin) = args.thin {
+        params.thin.algorithm = thin.into();
+    }
+    if let Some(gate) = args.gate {
+        params::set_gate(&mut params, gate.into());
+    }
+    params
+}
+
+/// The colours of the command line, if any are given.
+fn colour(args: &RecognizeArgs) -> Option<binarize::ColourRange> {
+    if args.color.is_some() {
+        return Some(binarize::ColourRange::Auto);
+    }
+    if args.color_min.is_some() || args.color_max.is_some() {
+        let [min, max] =
+            [(args.color_min, 0), (args.color_max, 255)].map(|(c, end)| c.map_or([end; 3], |c| c.0));
+        return Some(binarize::ColourRange::Rgb { min, max });
+    }
+    if args.grey_min.is_some() || args.grey_max.is_some() {
+        let (min, max) = (args.grey_min.unwrap_or(0), args.grey_max.unwrap_or(255));
+        return Some(binarize::ColourRange::Grey { min, max });
+    }
+    None
+}

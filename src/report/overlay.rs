@@ -1,0 +1,172 @@
+//! The result on top of both pictures, as the paper's figures 9 and 10.
+//!
+//! | what | how |
+//! |---|---|
+//! | skeleton, nodes | thin, grey-green; ends are small rings, junctions small discs |
+//! | segments between matched nodes | blue, along the wire; thinner where the part cannot be picked |
+//! | fitness | red, behind the part's rank |
+//! | grasp | where the tool comes down: closing direction of the fingers red, wire green, approach yellow |
+
+use nalgebra::{Isometry3, Point3, Vector2, Vector3};
+
+use super::canvas::{Canvas, Colour};
+use crate::frame::Frame;
+use crate::part::Part;
+use crate::recognize::FoundPart;
+use crate::rig::Rig;
+use crate::vision::graph::{Graph, NodeKind};
+
+const SKELETON: Colour = [70, 160, 90];
+const END: Colour = [255, 220, 0];
+const JUNCTION: Colour = [255, 120, 0];
+const SEGMENT: Colour = [30, 90, 255];
+const SEGMENT_BLOCKED: Colour = [70, 110, 230];
+const FITNESS: Colour = [255, 60, 60];
+const CLOSING: Colour = [255, 60, 60];
+const WIRE: Colour = [60, 230, 90];
+const APPROACH: Colour = [255, 235, 60];
+const TEXT: Colour = [255, 255, 255];
+
+/// Length of the grasp's axes in mm.
+const AXIS_MM: f64 = 10.0;
+/// Distance of the points by which wires are drawn, in mm.
+const STEP_MM: f64 = 1.0;
+/// Columns between the two pictures.
+const GAP_PX: usize = 4;
+
+/// All that an overlay shows.
+#[derive(Clone, Copy)]
+pub struct Overlay<'a> {
+    /// Uncompressed pictures, left and right.
+    pub frames: [&'a Frame; 2],
+    /// Their graphs.
+    pub graphs: [&'a Graph; 2],
+    /// The cameras.
+    pub rig: &'a Rig,
+    /// The models that [`FoundPart::part`] counts.
+    pub parts: &'a [Part],
+    /// What was recognised, best first.
+    pub found: &'a [FoundPart],
+    /// Where grasps are given in the robot's base: its pose. Else the identity.
+    pub base_from_left: Isometry3<f64>,
+    /// A line below: why there is no pick, say. Empty: none.
+    pub caption: &'a str,
+}
+
+impl Overlay<'_> {
+    /// Draws both pictures side by side.
+    pub fn draw(&self) -> Canvas {
+        let [left, right] = self.frames;
+        let mut canvas = Canvas::new(left.width + GAP_PX + right.width, left.height.max(right.height));
+        let offsets = [0, left.width + GAP_PX];
+        for side in 0..2 {
+            let offset = Vector2::new(offsets[side] as f64, 0.0);
+            canvas.put_frame(self.frames[side], offsets[side]);
+            graph(&mut canvas, self.graphs[side], offset);
+            let view = View { side, offset, overlay: self };
+            // the best on top
+            for (i, found) in self.found.iter().enumerate().rev() {
+                view.part(&mut canvas, found);
+                view.grasp(&mut canvas, found);
+                view.fitness(&mut canvas, i + 1, found);
+            }
+        }
+        if !self.caption.is_empty() {
+            let low = canvas.height() as f64 - 20.0;
+            canvas.text(Vector2::new(4.0, low), self.caption, 2, TEXT);
+        }
+        canvas
+    }
+}
+
+/// Skeleton and nodes, thin.
+fn graph(canvas: &mut Canvas, graph: &Graph, offset: Vector2<f64>) {
+    for &[x, y] in &graph.points {
+        canvas.blend(i64::from(x) + offset.x as i64, i64::from(y), SKELETON, 0.8);
+    }
+    for node in &graph.nodes {
+        let at = Vector2::new(f64::from(node.position_px[0]), f64::from(node.position_px[1])) + offset;
+        match node.kind {
+            NodeKind::End => canvas.ring(at, 2.5, END),
+            NodeKind::Junction => canvas.disc(at, 1.5, JUNCTION),
+        }
+    }
+}
+
+/// One camera's picture on the canvas.
+struct View<'a> {
+    side: usize,
+    offset: Vector2<f64>,
+    overlay: &'a Overlay<'a>,
+}
+
+impl View<'_> {
+    fn project(&self, point_left_mm: &Point3<f64>) -> Option<Vector2<f64>> {
+        let rig = self.overlay.rig;
+        let (px, camera) = match self.side {
+            0 => (rig.project_left(point_left_mm)?, &rig.left),
+            _ => (rig.project_right(point_left_mm)?, &rig.right),
+        };
+        camera.sees(px, -0.5).then_some(px + self.offset)
+    }
+
+    fn line(&self, canvas: &mut Canvas, from: Point3<f64>, to: Point3<f64>, width: f64, colour: Colour) {
+        if let (Some(from), Some(to)) = (self.project(&from), self.project(&to)) {
+            canvas.line(from, to, width, colour);
+        }
+    }
+
+    /// The segments between the nodes, along the wire.
+    fn part(&self, canvas: &mut Canvas, found: &FoundPart) {
+        let Some(part) = self.overlay.parts.get(found.part) else { return };
+        let (colour, width) = if found.blocked.is_some() { (SEGMENT_BLOCKED, 1.0) } else { (SEGMENT, 2.0) };
+        for edge in 0..part.edges.len() {
+            for pair in part.centreline(edge, STEP_MM).windows(2) {
+                let [from, to] = [0, 1].map(|i| found.left_from_part * pair[i].position_mm);
+                self.line(canvas, from, to, width, colour);
+            }
+        }
+        for node in &found.nodes {
+            if let Some(px) = self.project(&node.left_mm) {
+                canvas.ring(px, 4.0, colour);
+            }
+        }
+    }
+
+    fn grasp(&self, canvas: &mut Canvas, found: &FoundPart) {
+        let left_from_base = self.overlay.base_from_left.inverse();
+        let grasp = &found.grasp;
+        let at = left_from_base * grasp.position_mm;
+        let axis = |unit: Vector3<f64>| left_from_base * (grasp.orientation * unit);
+        if found.blocked.is_some() {
+            if let Some(px) = self.project(&at) {
+                canvas.ring(px, 3.0, SEGMENT_BLOCKED);
+            }
+            return;
+        }
+        // the fingers: from outside to where they stand before they close
+        let closing = axis(Vector3::x());
+        let half = 0.5 * grasp.opening_mm;
+        for side in [-1.0, 1.0] {
+            let finger = at + closing * (side * half);
+            self.line(canvas, finger, finger + closing * (side * 0.5 * AXIS_MM), 2.0, CLOSING);
+            let wire = axis(Vector3::y()) * 3.0;
+            self.line(canvas, finger - wire, finger + wire, 2.0, CLOSING);
+        }
+        self.line(canvas, at, at + axis(Vector3::y()) * AXIS_MM, 2.0, WIRE);
+        self.line(canvas, at, at - axis(Vector3::z()) * AXIS_MM, 2.0, APPROACH);
+        if let Some(px) = self.project(&at) {
+            canvas.disc(px, 2.5, APPROACH);
+        }
+    }
+
+    /// Rank and fitness beside the grasp.
+    fn fitness(&self, canvas: &mut Canvas, rank: usize, found: &FoundPart) {
+        let at = self.overlay.base_from_left.inverse() * found.grasp.position_mm;
+        if let Some(px) = self.project(&at) {
+            let scale = if canvas.width() > 2000 { 3 } else { 1 };
+            let text = format!("{rank}: {:.2}", found.fitness);
+            canvas.text(px + Vector2::new(9.0, -13.0), &text, scale, FITNESS);
+        }
+    }
+}
