@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use super::recognize::RecognizeError;
 use crate::frame::{Frame, FramePair};
-use crate::rig::Rig;
+use crate::rig::{CameraModel, Rig};
 use crate::session::read_picture;
 use crate::vision::decode::{Decoder, Output};
 
@@ -102,16 +102,18 @@ pub fn read_pair(pair: &PairFiles, rig: &Rig) -> Result<(FramePair, [PathBuf; 2]
             }
         }
     }
-    let read = |path: &PathBuf| {
+    let read = |path: &PathBuf, side: &'static str, camera: &CameraModel| {
         if fs::metadata(path).is_ok_and(|m| !m.is_file()) {
             return Err(RecognizeError::NoFile { path: path.clone() });
         }
         let frame = read_picture(path)?;
-        rig.check_size(frame.width, frame.height)
+        camera
+            .check_size(side, frame.width, frame.height)
             .map_err(|reason| RecognizeError::Size { path: path.clone(), reason })?;
         Ok(frame)
     };
-    let frames = FramePair { left: read(&paths[0])?, right: read(&paths[1])? };
+    let frames =
+        FramePair { left: read(&paths[0], "left", &rig.left)?, right: read(&paths[1], "right", &rig.right)? };
     Ok((frames, paths))
 }
 

@@ -7,6 +7,8 @@
 
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Point3, Vector2, Vector3};
 
+use super::RigError;
+
 /// Pinhole and distortion of one camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraModel {
@@ -146,6 +148,15 @@ impl CameraModel {
             && px.y >= border_px
             && px.x <= self.width as f64 - 1.0 - border_px
             && px.y <= self.height as f64 - 1.0 - border_px
+    }
+
+    /// Whether the camera was calibrated for pictures of this size; `camera` is its name for the message.
+    ///
+    /// # Errors
+    /// [`RigError::Size`] names the camera and both sizes.
+    pub fn check_size(&self, camera: &'static str, width: usize, height: usize) -> Result<(), RigError> {
+        let (calibrated, picture) = ((self.width, self.height), (width, height));
+        if calibrated == picture { Ok(()) } else { Err(RigError::Size { camera, calibrated, picture }) }
     }
 
     #[inline]

@@ -102,16 +102,8 @@ impl Rig {
     /// # Errors
     /// [`RigError::Size`] names the camera and both sizes.
     pub fn check_size(&self, width: usize, height: usize) -> Result<(), RigError> {
-        for (camera, model) in [("left", &self.left), ("right", &self.right)] {
-            if (model.width, model.height) != (width, height) {
-                return Err(RigError::Size {
-                    camera,
-                    calibrated: (model.width, model.height),
-                    picture: (width, height),
-                });
-            }
-        }
-        Ok(())
+        self.left.check_size("left", width, height)?;
+        self.right.check_size("right", width, height)
     }
 }
 
