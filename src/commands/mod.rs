@@ -1,6 +1,5 @@
 //! One file a command: parse, build, run, exit code.
 
 pub mod accuracy;
-pub mod params;
 pub mod pictures;
 pub mod recognize;

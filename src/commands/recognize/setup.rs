@@ -7,9 +7,8 @@ use nalgebra::Isometry3;
 
 use super::args::RecognizeArgs;
 use super::error::RecognizeError;
-use crate::commands::params;
 use crate::commands::pictures::{PairFiles, pairs_of};
-use crate::config::{Backend, Cell, SearchMethod};
+use crate::config::{Backend, Cell, Gate, SearchMethod};
 use crate::part::Part;
 use crate::recognize::Params;
 use crate::rig::Rig;
@@ -25,6 +24,8 @@ pub(super) enum Limit {
     Iterations(u64),
 }
 
+/// Specks of fewer pixels are dropped where nothing else is said.
+const SPECK_PX_MIN: u32 = 20;
 /// Time for a pair where nothing else is said.
 const DEADLINE: Duration = Duration::from_millis(30);
 
@@ -113,7 +114,7 @@ fn limit(args: &RecognizeArgs, cell: Option<&Cell>) -> Limit {
 }
 
 fn params(args: &RecognizeArgs, cell: Option<&Cell>) -> Params {
-    let mut params = cell.map_or_else(params::plain, params::of_cell);
+    let mut params = cell.map_or_else(plain, Cell::recognition_params);
     for pixels in &mut params.binarize {
         if let Some(colour) = colour(args) {
             pixels.colour = colour;
@@ -129,9 +130,18 @@ fn params(args: &RecognizeArgs, cell: Option<&Cell>) -> Params {
     if let Some(thin) = args.thin {
         params.thin.algorithm = thin.into();
     }
-    if let Some(gate) = args.gate {
-        params::set_gate(&mut params, gate.into());
+    let gate = args.gate.map(Gate::from).or(cell.map(|c| c.recognition.gate)).unwrap_or_default();
+    if gate == Gate::None {
+        params.gate.gap_px_max = f64::INFINITY;
+        params.gate.junction_gap_px_max = f64::INFINITY;
     }
+    params
+}
+
+/// The parameters where there is no cell.
+fn plain() -> Params {
+    let mut params = Params::default();
+    params.binarize.iter_mut().for_each(|pixels| pixels.speck_px_min = SPECK_PX_MIN);
     params
 }
 
