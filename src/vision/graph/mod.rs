@@ -13,6 +13,7 @@
 //!
 //! Positions are in distorted pixels, pixel centres at whole numbers.
 
+mod classify;
 pub mod ends;
 pub mod pixels;
 pub mod prune;
@@ -22,6 +23,7 @@ pub mod trace;
 
 use crate::frame::Frame;
 use crate::vision::bits::BitImage;
+use crate::vision::level::Level;
 use std::ops::Range;
 
 /// In [`Edge::nodes`]: a closed loop has no nodes.
@@ -184,6 +186,7 @@ impl Default for Params {
 #[derive(Clone, Debug)]
 pub struct Graphs {
     params: Params,
+    level: Level,
     width: usize,
     height: usize,
     pixels: pixels::Pixels,
@@ -192,14 +195,24 @@ pub struct Graphs {
 }
 
 impl Graphs {
-    /// A workspace for pictures of `width` x `height` pixels.
+    /// A workspace for pictures of `width` x `height` pixels, with the best instructions of this machine.
     ///
     /// # Panics
     /// Where a side is longer than 65535 pixels.
     pub fn new(params: Params, width: usize, height: usize) -> Self {
+        Self::with_level(params, width, height, Level::detect())
+    }
+
+    /// A workspace that uses other instructions; the result is the same.
+    ///
+    /// # Panics
+    /// Where a side is longer than 65535 pixels, or the machine has not got the instructions.
+    pub fn with_level(params: Params, width: usize, height: usize, level: Level) -> Self {
+        assert!(Level::available().contains(&level), "this machine has no {}", level.name());
         assert!(width <= u16::MAX as usize && height <= u16::MAX as usize, "{width}x{height} picture");
         Self {
             params,
+            level,
             width,
             height,
             pixels: pixels::Pixels::new(&params, width, height),
@@ -228,8 +241,8 @@ impl Graphs {
         }
         graph.clear();
         graph.reserve(&self.params);
-        self.pixels.run(skeleton)?;
-        self.traced.run(&self.params, skeleton, &self.pixels)?;
+        self.pixels.run(self.level, skeleton)?;
+        self.traced.run(skeleton, &self.pixels)?;
         self.pruned.run(mask, &self.pixels, &self.traced);
         self.pruned.write(&self.params, mask, &self.pixels, &self.traced, graph);
         section::measure(mask, graph);

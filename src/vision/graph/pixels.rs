@@ -1,7 +1,9 @@
 //! Which skeleton pixels are ends and which belong to junctions.
 
+use super::classify::{Special, classify};
 use super::{NodeKind, Params, Refusal};
 use crate::vision::bits::BitImage;
+use crate::vision::level::Level;
 
 /// Directions of the eight neighbours, clockwise from above; bit `i` of a neighbour code is direction `i`.
 pub const DIRECTIONS: [(i32, i32); 8] =
@@ -26,90 +28,123 @@ pub struct Pixels {
     pub nodes: Vec<RawNode>,
     /// Pixels of all nodes, node after node.
     pub members: Vec<[u16; 2]>,
-    /// Pixels without any neighbour.
+    /// The node of each member.
+    pub node_of: Vec<u32>,
+    /// Pixels without any neighbour, up to the limit of nodes.
     pub alone: Vec<[u16; 2]>,
+    /// Pixels that are neither member nor alone.
+    pub chain_pixels: usize,
     /// The pixels that belong to a node.
-    pub is_node: BitImage,
-    /// Pixels with three or more branches.
-    branch: BitImage,
-    /// Node of a pixel; only valid where `is_node`.
-    label: Vec<u16>,
+    is_node: BitImage,
+    /// Pixels with three or more branches that belong to no node yet.
+    unclaimed: BitImage,
+    /// Index into `members` of a pixel; only valid where `is_node`.
+    label: Vec<u32>,
+    special: Vec<Special>,
 }
 
-/// The neighbours of a pixel that its lines go on to: bit `i` is direction `i`. A corner neighbour counts only where
-/// no side neighbour joins it already.
-#[inline]
-pub fn branches(picture: &BitImage, x: i32, y: i32) -> u8 {
-    let mut code = 0u8;
-    for (i, (dx, dy)) in DIRECTIONS.into_iter().enumerate() {
-        code |= (picture.get(x + dx, y + dy) as u8) << i;
+/// For the nine pixels of a 3 x 3 window, row by row, lowest bit first: [`branches`] of the one in the middle.
+pub(super) static BRANCHES: [u8; 512] = branches_of_windows();
+
+const fn branches_of_windows() -> [u8; 512] {
+    // Place in the window of each direction.
+    const PLACE: [u32; 8] = [1, 2, 5, 8, 7, 6, 3, 0];
+    let mut table = [0; 512];
+    let mut window = 0;
+    while window < 512 {
+        let (mut code, mut i) = (0u8, 0);
+        while i < 8 {
+            code |= ((window >> PLACE[i] & 1) as u8) << i;
+            i += 1;
+        }
+        table[window] = branches_of_code(code);
+        window += 1;
     }
+    table
+}
+
+/// A corner counts only where no side joins it already.
+const fn branches_of_code(code: u8) -> u8 {
     let sides = code & 0b0101_0101;
     let joined = sides.rotate_left(1) | sides.rotate_right(1);
     sides | (code & 0b1010_1010 & !joined)
 }
 
+/// The neighbours of a pixel that its lines go on to: bit `i` is direction `i`. A corner neighbour counts only where
+/// no side neighbour joins it already.
+pub fn branches(picture: &BitImage, x: i32, y: i32) -> u8 {
+    let mut code = 0u8;
+    for (i, (dx, dy)) in DIRECTIONS.into_iter().enumerate() {
+        code |= (picture.get(x + dx, y + dy) as u8) << i;
+    }
+    branches_of_code(code)
+}
+
 impl Pixels {
     pub(super) fn new(params: &Params, width: usize, height: usize) -> Self {
-        let nodes_max = params.nodes_max.min(u16::MAX as u32);
+        let nodes_max = params.nodes_max;
+        let words = BitImage::new(width, height).words().len();
         Self {
             nodes_max,
             nodes: Vec::with_capacity(nodes_max as usize),
             members: Vec::with_capacity(params.points_max as usize),
+            node_of: Vec::with_capacity(params.points_max as usize),
             alone: Vec::with_capacity(nodes_max as usize),
+            chain_pixels: 0,
             is_node: BitImage::new(width, height),
-            branch: BitImage::new(width, height),
+            unclaimed: BitImage::new(width, height),
             label: vec![0; width * height],
+            special: Vec::with_capacity(words),
         }
     }
 
-    /// The node that a pixel belongs to.
+    /// The index of the member at a pixel.
     #[inline]
-    pub fn node_at(&self, x: u16, y: u16) -> Option<u32> {
+    pub fn member_at(&self, x: u16, y: u16) -> Option<u32> {
         self.is_node
             .get(x as i32, y as i32)
-            .then(|| self.label[y as usize * self.is_node.width() + x as usize] as u32)
+            .then(|| self.label[y as usize * self.is_node.width() + x as usize])
     }
 
-    /// The pixels of a node.
-    pub fn members_of(&self, node: &RawNode) -> &[[u16; 2]] {
-        &self.members[node.members[0] as usize..node.members[1] as usize]
-    }
-
-    pub(super) fn run(&mut self, skeleton: &BitImage) -> Result<(), Refusal> {
+    pub(super) fn run(&mut self, level: Level, skeleton: &BitImage) -> Result<(), Refusal> {
+        for &[x, y] in &self.members {
+            self.is_node.set(x as usize, y as usize, false);
+        }
         self.nodes.clear();
         self.members.clear();
+        self.node_of.clear();
         self.alone.clear();
-        self.is_node.clear();
-        self.branch.clear();
-        for s in 0..skeleton.strips() {
-            for (y, &word) in skeleton.strip(s).iter().enumerate() {
-                let mut word = word;
-                while word != 0 {
-                    let x = s * 64 + word.trailing_zeros() as usize;
-                    word &= word - 1;
-                    match branches(skeleton, x as i32, y as i32).count_ones() {
-                        1 => {
-                            self.push(NodeKind::End)?;
-                            self.claim(x, y)?;
-                            self.close();
-                        }
-                        // More of them than there can be nodes: dust, and not worth a look.
-                        0 if self.alone.len() < self.alone.capacity() => {
-                            self.alone.push([x as u16, y as u16])
-                        }
-                        3.. => self.branch.set(x, y, true),
-                        _ => {}
-                    }
-                }
+        let count = classify(level, skeleton, &mut self.special);
+        let special = std::mem::take(&mut self.special);
+        let result = self.claim_all(&special);
+        if result.is_err() {
+            self.unclaimed.clear();
+        }
+        let alone: usize = special.iter().map(|s| s.alone.count_ones() as usize).sum();
+        self.chain_pixels = count.saturating_sub(alone + self.members.len());
+        self.special = special;
+        result
+    }
+
+    fn claim_all(&mut self, special: &[Special]) -> Result<(), Refusal> {
+        for word in special {
+            for x in bits(word.ends, word.x) {
+                self.push(NodeKind::End)?;
+                self.claim(x, word.y)?;
+                self.close();
+            }
+            for x in bits(word.alone, word.x).take(self.alone.capacity() - self.alone.len()) {
+                self.alone.push([x, word.y]);
+            }
+            for x in bits(word.junctions, word.x) {
+                self.unclaimed.set(x as usize, word.y as usize, true);
             }
         }
-        for s in 0..skeleton.strips() {
-            for y in 0..skeleton.height() {
-                while self.branch.strip(s)[y] != 0 {
-                    let x = s * 64 + self.branch.strip(s)[y].trailing_zeros() as usize;
+        for word in special {
+            for x in bits(word.junctions, word.x) {
+                if self.unclaimed.get(x as i32, word.y as i32) {
                     self.push(NodeKind::Junction)?;
-                    self.flood(x, y)?;
+                    self.flood(x, word.y)?;
                     self.close();
                 }
             }
@@ -118,18 +153,18 @@ impl Pixels {
     }
 
     /// All branch pixels that touch, directly or through others, become members of the newest node.
-    fn flood(&mut self, x: usize, y: usize) -> Result<(), Refusal> {
+    fn flood(&mut self, x: u16, y: u16) -> Result<(), Refusal> {
         let mut next = self.members.len();
-        self.branch.set(x, y, false);
+        self.unclaimed.set(x as usize, y as usize, false);
         self.claim(x, y)?;
         while next < self.members.len() {
             let [x, y] = self.members[next];
             next += 1;
             for (dx, dy) in DIRECTIONS {
                 let (x, y) = (x as i32 + dx, y as i32 + dy);
-                if self.branch.get(x, y) {
-                    self.branch.set(x as usize, y as usize, false);
-                    self.claim(x as usize, y as usize)?;
+                if self.unclaimed.get(x, y) {
+                    self.unclaimed.set(x as usize, y as usize, false);
+                    self.claim(x as u16, y as u16)?;
                 }
             }
         }
@@ -145,13 +180,14 @@ impl Pixels {
         Ok(())
     }
 
-    fn claim(&mut self, x: usize, y: usize) -> Result<(), Refusal> {
+    fn claim(&mut self, x: u16, y: u16) -> Result<(), Refusal> {
         if self.members.len() == self.members.capacity() {
             return Err(Refusal::TooManyPoints { points_max: self.members.capacity() as u32 });
         }
-        self.members.push([x as u16, y as u16]);
-        self.is_node.set(x, y, true);
-        self.label[y * self.is_node.width() + x] = (self.nodes.len() - 1) as u16;
+        self.is_node.set(x as usize, y as usize, true);
+        self.label[y as usize * self.is_node.width() + x as usize] = self.members.len() as u32;
+        self.members.push([x, y]);
+        self.node_of.push((self.nodes.len() - 1) as u32);
         Ok(())
     }
 
@@ -165,4 +201,13 @@ impl Pixels {
             node.centroid_px = [x as f32 / n, y as f32 / n];
         }
     }
+}
+
+/// The columns of the set bits of a word whose bit 0 is column `x`.
+fn bits(mut word: u64, x: u16) -> impl Iterator<Item = u16> {
+    std::iter::from_fn(move || {
+        let column = (word != 0).then(|| x + word.trailing_zeros() as u16);
+        word &= word.wrapping_sub(1);
+        column
+    })
 }

@@ -8,21 +8,68 @@ const SECTIONS: usize = 7;
 /// Longest run that is followed, in pixels each way.
 const RUN_MAX: i32 = 128;
 
-/// Object pixels in a row through (x, y), both ways along (dx, dy).
+/// Object pixels in a row through (x, y), both ways along (dx, dy), up to `RUN_MAX` each way.
 pub(super) fn run(mask: &BitImage, x: i32, y: i32, dx: i32, dy: i32) -> i32 {
+    run_up_to(mask, [x, y], [dx, dy], RUN_MAX)
+}
+
+fn run_up_to(mask: &BitImage, [x, y]: [i32; 2], [dx, dy]: [i32; 2], run_max: i32) -> i32 {
     let one_way = |sign: i32| {
-        (1..RUN_MAX).find(|i| !mask.get(x + sign * i * dx, y + sign * i * dy)).unwrap_or(RUN_MAX) - 1
+        (1..run_max).find(|i| !mask.get(x + sign * i * dx, y + sign * i * dy)).unwrap_or(run_max) - 1
     };
     if !mask.get(x, y) { 0 } else { 1 + one_way(1) + one_way(-1) }
 }
 
+/// The same along the column.
+fn run_in_column(mask: &BitImage, [x, y]: [u16; 2]) -> i32 {
+    let (x, y) = (x as usize, y as usize);
+    let strip = mask.strip(x / 64);
+    let object = |word: &&u64| **word >> (x % 64) & 1 == 1;
+    let up = strip[..y].iter().rev().take(RUN_MAX as usize - 1).take_while(object).count();
+    let here = strip[y..].iter().take(RUN_MAX as usize).take_while(object).count();
+    if here == 0 { 0 } else { (up + here) as i32 }
+}
+
+/// The same along the row.
+fn run_in_row(mask: &BitImage, [x, y]: [u16; 2]) -> i32 {
+    let (x, y) = (x as usize, y as usize);
+    let word = |s: usize| mask.strip(s)[y];
+    let (s, bit) = (x / 64, x as u32 % 64);
+    let mut right = (word(s) >> bit).trailing_ones();
+    if right == 0 {
+        return 0;
+    }
+    let mut next = s + 1;
+    while (bit + right).is_multiple_of(64) && next < mask.strips() && right < RUN_MAX as u32 {
+        let more = word(next).trailing_ones();
+        right += more;
+        next += 1;
+        if more < 64 {
+            break;
+        }
+    }
+    let mut left = (word(s) << (63 - bit)).leading_ones() - 1;
+    let mut next = s;
+    while left >= bit && (left - bit).is_multiple_of(64) && next > 0 && left < RUN_MAX as u32 {
+        next -= 1;
+        let more = word(next).leading_ones();
+        left += more;
+        if more < 64 {
+            break;
+        }
+    }
+    (left.min(RUN_MAX as u32 - 1) + right.min(RUN_MAX as u32)) as i32
+}
+
 /// Thickness without regard to a direction: the shortest of the runs through a pixel along rows, columns and
 /// diagonals, in pixels; up to 8 % too much.
-pub fn thickness_around(mask: &BitImage, [x, y]: [u16; 2]) -> f32 {
-    let (x, y) = (x as i32, y as i32);
-    let straight = run(mask, x, y, 1, 0).min(run(mask, x, y, 0, 1)) as f32;
-    let slanted = run(mask, x, y, 1, 1).min(run(mask, x, y, 1, -1)) as f32;
-    straight.min(slanted * std::f32::consts::SQRT_2)
+pub fn thickness_around(mask: &BitImage, pixel: [u16; 2]) -> f32 {
+    let straight = run_in_row(mask, pixel).min(run_in_column(mask, pixel));
+    // Diagonals matter only where they are shorter.
+    let run_max = straight.min(RUN_MAX);
+    let pixel = pixel.map(i32::from);
+    let slanted = run_up_to(mask, pixel, [1, 1], run_max).min(run_up_to(mask, pixel, [1, -1], run_max));
+    (straight as f32).min(slanted as f32 * std::f32::consts::SQRT_2)
 }
 
 /// Fills in the half thickness of edges and nodes.
@@ -53,14 +100,42 @@ fn median_thickness(mask: &BitImage, chain: &[[u16; 2]]) -> Option<f32> {
         let reach = 6.min(at).min(chain.len() - 1 - at).max(1);
         let (a, b) = (chain[at.saturating_sub(reach)], chain[(at + reach).min(chain.len() - 1)]);
         let (dx, dy) = (b[0] as f32 - a[0] as f32, b[1] as f32 - a[1] as f32);
-        let (x, y) = (chain[at][0] as i32, chain[at][1] as i32);
         let length = dx.hypot(dy).max(1.0);
         *section = if dx.abs() >= dy.abs() {
-            run(mask, x, y, 0, 1) as f32 * dx.abs() / length
+            run_in_column(mask, chain[at]) as f32 * dx.abs() / length
         } else {
-            run(mask, x, y, 1, 0) as f32 * dy.abs() / length
+            run_in_row(mask, chain[at]) as f32 * dy.abs() / length
         };
     }
     sections.sort_unstable_by(f32::total_cmp);
     Some(sections[SECTIONS / 2])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+
+    #[test]
+    fn runs_along_rows_and_columns_equal_the_slow_ones() {
+        let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(9);
+        for (width, height, share) in
+            [(1, 1, 1.0), (200, 40, 1.0), (400, 300, 1.0), (333, 60, 0.97), (64, 9, 0.5)]
+        {
+            let mut mask = BitImage::new(width, height);
+            for i in 0..width * height {
+                mask.set(i % width, i / width, random.random_bool(share));
+            }
+            for _ in 0..300 {
+                let (x, y) = (random.random_range(0..width), random.random_range(0..height));
+                let at = [x as u16, y as u16];
+                assert_eq!(run_in_row(&mask, at), run(&mask, x as i32, y as i32, 1, 0), "row at {at:?}");
+                assert_eq!(
+                    run_in_column(&mask, at),
+                    run(&mask, x as i32, y as i32, 0, 1),
+                    "column at {at:?}"
+                );
+            }
+        }
+    }
 }
