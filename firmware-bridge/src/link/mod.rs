@@ -22,9 +22,11 @@
 //! ```
 
 mod serial;
+pub mod shared;
 mod simulated;
 
 pub use serial::{SerialError, SerialLink};
+pub use shared::{SharedError, SharedMemoryLink};
 pub use simulated::SimulatedLink;
 
 use crate::config::{ConfigError, LinkName, Settings};
@@ -39,6 +41,8 @@ use rustix::fd::BorrowedFd;
 pub enum Link {
     /// A serial line of this process.
     Serial(SerialLink),
+    /// Shared memory to `firmware-bridge run`.
+    SharedMemory(SharedMemoryLink),
     /// A simulated arm in this process.
     Simulated(SimulatedLink),
 }
@@ -52,6 +56,9 @@ pub enum LinkError {
     /// The serial line.
     #[error(transparent)]
     Serial(#[from] SerialError),
+    /// The shared memory.
+    #[error(transparent)]
+    SharedMemory(#[from] SharedError),
 }
 
 /// Calls the same method of whichever link it is.
@@ -59,13 +66,15 @@ macro_rules! each {
     ($self:expr, $link:ident => $call:expr) => {
         match $self {
             Link::Serial($link) => $call,
+            Link::SharedMemory($link) => $call,
             Link::Simulated($link) => $call,
         }
     };
 }
 
 impl Link {
-    /// Opens the link that `[arm]` names. `session_seed` is random, so that two processes differ.
+    /// Opens the link that `[arm]` names (`replay`: a simulated arm without faults). `session_seed` decides the sessions of a
+    /// simulated arm; the others mix it with time and process, so that two openings always differ.
     ///
     /// # Errors
     /// What is missing or taken, with the remedy. Later losses are not errors: the link says
@@ -73,7 +82,10 @@ impl Link {
     pub fn open(settings: &Settings, session_seed: u32) -> Result<Self, LinkError> {
         match settings.arm.link {
             LinkName::Serial => Ok(Link::Serial(SerialLink::open(settings, session_seed)?)),
-            _ => Ok(Link::Simulated(SimulatedLink::new(settings, session_seed, Faults::default())?)),
+            LinkName::SharedMemory => Ok(Link::SharedMemory(SharedMemoryLink::open(settings, session_seed)?)),
+            LinkName::Replay => {
+                Ok(Link::Simulated(SimulatedLink::new(settings, session_seed, Faults::default())?))
+            }
         }
     }
 
@@ -99,10 +111,19 @@ impl Link {
     pub fn wait(&self, until_ns: i64, wake: Option<BorrowedFd<'_>>) {
         let own = match self {
             Link::Serial(link) => link.fd(),
+            Link::SharedMemory(link) => link.fd(),
             Link::Simulated(_) => None,
         };
         wait_for(&[own, wake], until_ns);
     }
+}
+
+/// A number that differs between processes and between two openings of one: what begins with it (sessions, lives) is
+/// never taken for what was before. `seed` alone would not do, a caller may always give the same.
+pub fn life_number(seed: u32) -> u32 {
+    let time = monotonic_ns() as u64 ^ u64::from(std::process::id()) << 40 ^ u64::from(seed) << 20;
+    // Fibonacci hashing spreads neighbours.
+    (time.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 32) as u32
 }
 
 /// Nanoseconds of `CLOCK_MONOTONIC`.
@@ -112,7 +133,7 @@ pub fn monotonic_ns() -> i64 {
 }
 
 /// Sleeps until one of `fds` (at most four) can be read or `until_ns` has come.
-pub(crate) fn wait_for(fds: &[Option<BorrowedFd<'_>>], until_ns: i64) {
+pub fn wait_for(fds: &[Option<BorrowedFd<'_>>], until_ns: i64) {
     let left_ns = until_ns.saturating_sub(monotonic_ns()).clamp(0, 3_600_000_000_000);
     let timeout =
         rustix::event::Timespec { tv_sec: left_ns / 1_000_000_000, tv_nsec: left_ns % 1_000_000_000 };

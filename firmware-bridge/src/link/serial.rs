@@ -77,7 +77,7 @@ impl SerialLink {
         let arm = &settings.arm;
         let path = arm.port.clone().ok_or(SerialError::NoPort)?;
         let mut link = Self {
-            dialect: Dialect::new(settings, session_seed)?,
+            dialect: Dialect::new(settings, super::life_number(session_seed))?,
             port: Some(open_port(&path, arm.baud)?),
             path,
             baud: arm.baud,

@@ -1,0 +1,121 @@
+//! `run`: targets from shared memory to a serial arm.
+
+use super::Failure;
+use clap::Args;
+use firmware_bridge::config::Settings;
+use firmware_bridge::link::shared::{BridgeEnd, CellRecord, Ports, Side};
+use firmware_bridge::link::{SerialLink, life_number, monotonic_ns, wait_for};
+use firmware_bridge::message::{Command, Report};
+use rustix::fd::AsFd;
+use std::os::unix::net::UnixStream;
+use std::path::PathBuf;
+
+/// How long the arm has to confirm the last hold, ns.
+const FAREWELL_NS: i64 = 500_000_000;
+
+#[derive(Args)]
+#[command(after_help = "Example:\n  firmware-bridge run --cell cell.toml\n\n\
+                        The driver's cell.toml has link = \"shared-memory\" and the same arm.service; arm.port, arm.baud, \
+                        arm.dialect and arm.moves are this side's.")]
+pub(crate) struct Arguments {
+    /// The cell: [arm], [workspace] and [gripper] are read, arm.link is not.
+    #[arg(long, default_value = "cell.toml", value_name = "FILE")]
+    cell: PathBuf,
+}
+
+/// Both ends of the bridge.
+struct Bridge {
+    end: BridgeEnd,
+    ports: Ports,
+    arm: SerialLink,
+    /// The arm has answered as it should at least once.
+    met: bool,
+}
+
+pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let signals = super::catch_signals()?;
+    let settings = Settings::read(&arguments.cell)?;
+    let arm = SerialLink::open(&settings, 1)?;
+    let ports =
+        Ports::open(&settings.arm.service, Side::Bridge).map_err(firmware_bridge::link::LinkError::from)?;
+    tracing::info!(port = %arm.path().display(), service = settings.arm.service, "the bridge stands");
+    let mut bridge = Bridge { end: BridgeEnd::new(&settings, life_number(2)), ports, arm, met: false };
+    let result = bridge.serve(&signals);
+    bridge.say_farewell();
+    result
+}
+
+impl Bridge {
+    /// Carries until a signal comes or the arm turns out to be another one.
+    fn serve(&mut self, signals: &UnixStream) -> Result<(), Failure> {
+        while !super::signalled(signals) {
+            let now_ns = monotonic_ns();
+            let arm = &mut self.arm;
+            let mut carry = |command: Command| {
+                tracing::debug!(?command, "carried");
+                arm.command(command, now_ns)
+            };
+            let had_cell = self.end.has_cell();
+            if let Some(record) = self.ports.receive::<CellRecord>() {
+                self.end.on_record(&record, now_ns, &mut carry);
+            }
+            self.end.run_timers(now_ns, &mut carry);
+            match (had_cell, self.end.has_cell()) {
+                (false, true) => tracing::info!("a driver is there"),
+                (true, false) => tracing::warn!("the driver is gone: the arm holds"),
+                _ => {}
+            }
+            while let Some(report) = self.arm.poll(now_ns) {
+                self.on_report(report)?;
+            }
+            if let Some(record) = self.end.record(now_ns) {
+                self.ports.publish(&record);
+            }
+            let until_ns = self.end.next_deadline_ns().min(self.arm.next_deadline_ns().unwrap_or(i64::MAX));
+            wait_for(&[Some(self.ports.fd()), self.arm.fd(), Some(signals.as_fd())], until_ns);
+        }
+        Ok(())
+    }
+
+    fn on_report(&mut self, report: Report) -> Result<(), Failure> {
+        match report {
+            Report::Heartbeat { .. } => {}
+            // A restarted arm of the right kind may stammer; one that never spoke right is another one.
+            Report::WrongVersion { ours, theirs } if !self.met => {
+                return Err(Failure::WrongVersion { ours, theirs });
+            }
+            Report::WrongDialect if !self.met => return Err(Failure::WrongDialect),
+            Report::Connected { .. } => {
+                self.met = true;
+                tracing::info!(?report, "arm");
+            }
+            _ => tracing::info!(?report, "arm"),
+        }
+        self.end.on_report(report);
+        Ok(())
+    }
+
+    /// The arm holds before the bridge goes, whatever it was doing.
+    fn say_farewell(&mut self) {
+        let start_ns = monotonic_ns();
+        let _ = self.arm.command(Command::Hold, start_ns);
+        loop {
+            let now_ns = monotonic_ns();
+            let mut held = false;
+            while let Some(report) = self.arm.poll(now_ns) {
+                held |= matches!(
+                    report,
+                    Report::Held { .. } | Report::Disconnected { .. } | Report::Alarm { .. }
+                );
+            }
+            if held || !self.met || now_ns - start_ns > FAREWELL_NS {
+                tracing::info!(held, "the bridge ends");
+                return;
+            }
+            wait_for(
+                &[self.arm.fd()],
+                self.arm.next_deadline_ns().unwrap_or(i64::MAX).min(now_ns + 10_000_000),
+            );
+        }
+    }
+}

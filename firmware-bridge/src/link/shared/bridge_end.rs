@@ -1,0 +1,148 @@
+//! The bridge's side of the conversation through records.
+
+use super::record::{ArmRecord, COMMANDS, CellRecord, REPORTS};
+use crate::config::Settings;
+use crate::message::{Command, Outcome, Refusal, Report};
+
+const MS: i64 = 1_000_000;
+
+/// State machine of the bridge's end: records and the arm's reports in, records out; commands go to whatever
+/// `carry` leads to, a link in the process and a dialect in tests.
+#[derive(Debug)]
+pub struct BridgeEnd {
+    heartbeat_ns: i64,
+    timeout_ns: i64,
+    record: ArmRecord,
+    publish_due: bool,
+    next_beat_ns: i64,
+    heard_ns: i64,
+}
+
+impl BridgeEnd {
+    /// A bridge that knows of no driver yet; `seed` differs between processes.
+    pub fn new(settings: &Settings, seed: u32) -> Self {
+        let arm = &settings.arm;
+        let record = ArmRecord {
+            bridge: seed.max(1),
+            cell: 0,
+            sent_ns: 0,
+            acked: 0,
+            newest: 0,
+            reports: [None; REPORTS],
+        };
+        Self {
+            heartbeat_ns: i64::from(arm.heartbeat_ms) * MS,
+            timeout_ns: i64::from(arm.heartbeat_timeout_ms) * MS,
+            record,
+            publish_due: true,
+            next_beat_ns: i64::MIN,
+            heard_ns: 0,
+        }
+    }
+
+    /// Whether a driver is connected.
+    pub fn has_cell(&self) -> bool {
+        self.record.cell != 0
+    }
+
+    /// A record of the driver; its new commands go to `carry`.
+    pub fn on_record(
+        &mut self,
+        record: &CellRecord,
+        now_ns: i64,
+        mut carry: impl FnMut(Command) -> Result<(), Refusal>,
+    ) {
+        if record.bridge != self.record.bridge {
+            // Not for this life of the bridge: a driver that has to hear of it first.
+            if self.has_cell() && record.cell != self.record.cell {
+                self.drop_cell(&mut carry);
+            }
+            self.publish_due = true;
+            return;
+        }
+        if record.cell != self.record.cell {
+            self.record.cell = record.cell;
+            (self.record.acked, self.record.newest) = (0, 0);
+            self.record.reports = [None; REPORTS];
+            self.publish_due = true;
+            // Whatever an earlier driver left is dropped, and the arm is on hold.
+            let _ = carry(Command::Hello);
+        }
+        self.heard_ns = now_ns;
+        if record.newest != self.record.acked {
+            self.carry_out(record, &mut carry);
+        }
+    }
+
+    /// A report of the arm's.
+    pub fn on_report(&mut self, report: Report) {
+        if !self.has_cell() {
+            return;
+        }
+        self.record.newest = self.record.newest.wrapping_add(1);
+        self.record.reports[self.record.newest as usize % REPORTS] = Some(report);
+        self.publish_due = true;
+    }
+
+    /// Lets time pass: without its driver the arm is held.
+    pub fn run_timers(&mut self, now_ns: i64, mut carry: impl FnMut(Command) -> Result<(), Refusal>) {
+        if self.has_cell() && now_ns - self.heard_ns > self.timeout_ns {
+            self.drop_cell(&mut carry);
+        }
+    }
+
+    /// The record to publish now, if there is a reason to.
+    pub fn record(&mut self, now_ns: i64) -> Option<ArmRecord> {
+        if !self.publish_due && now_ns < self.next_beat_ns {
+            return None;
+        }
+        self.publish_due = false;
+        self.next_beat_ns = now_ns + self.heartbeat_ns;
+        self.record.sent_ns = now_ns;
+        Some(self.record)
+    }
+
+    /// When something has to happen by itself.
+    pub fn next_deadline_ns(&self) -> i64 {
+        if self.publish_due {
+            return i64::MIN;
+        }
+        let silent_ns = if self.has_cell() { self.heard_ns + self.timeout_ns + 1 } else { i64::MAX };
+        self.next_beat_ns.min(silent_ns)
+    }
+
+    fn carry_out(&mut self, record: &CellRecord, carry: &mut impl FnMut(Command) -> Result<(), Refusal>) {
+        let new = record.newest.wrapping_sub(self.record.acked).min(COMMANDS as u32);
+        let numbers = record.newest - new + 1..=record.newest;
+        let commands = || numbers.clone().filter_map(|number| record.commands[number as usize % COMMANDS]);
+        let is_hold = |(_, command): &(usize, Command)| matches!(command, Command::Hold);
+        let hold = commands().enumerate().filter(is_hold).last().map(|(at, _)| at);
+        for (at, command) in commands().enumerate() {
+            // A hold overtakes what came with it: nothing before it begins any more.
+            let answer = match hold {
+                Some(hold) if at < hold && matches!(command, Command::Pick(_)) => Err(Refusal::OnHold),
+                Some(hold) if at < hold && !matches!(command, Command::Query { .. }) => continue,
+                _ => carry(command),
+            };
+            match (command, answer) {
+                (Command::Pick(pick), Err(refusal)) => {
+                    self.on_report(Report::Refused { id: pick.id, refusal })
+                }
+                (Command::Query { id }, Err(_)) => {
+                    self.on_report(Report::Outcome { id, outcome: Outcome::Unknown })
+                }
+                _ => {}
+            }
+        }
+        self.record.acked = record.newest;
+        self.publish_due = true;
+    }
+
+    /// The driver is gone: the arm stops, and only a new conversation moves it again.
+    fn drop_cell(&mut self, carry: &mut impl FnMut(Command) -> Result<(), Refusal>) {
+        let _ = carry(Command::Hold);
+        self.record.cell = 0;
+        self.record.bridge = super::next_life(self.record.bridge);
+        self.publish_due = true;
+    }
+}
