@@ -55,7 +55,7 @@ pub struct ColourEncoding {
 }
 
 /// What moment of the exposure a frame's time stamp marks.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 pub enum TimestampMark {
     /// The exposure began (V4L2 `V4L2_BUF_FLAG_TSTAMP_SRC_SOE`).
     StartOfExposure,

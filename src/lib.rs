@@ -7,6 +7,7 @@
 
 pub mod accuracy;
 pub mod camera;
+pub mod cell;
 pub mod commands;
 pub mod config;
 pub mod files;

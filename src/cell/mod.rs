@@ -1,0 +1,4 @@
+//! The cell itself: [`core`] decides, everything else carries.
+
+pub mod core;
+pub mod pairing;
