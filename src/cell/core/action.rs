@@ -71,6 +71,7 @@ impl std::fmt::Display for TargetEnd {
             TargetEnd::Failed(Failure::PartNotHeld) => write!(f, "failed: the part was not held"),
             TargetEnd::Failed(Failure::Held) => write!(f, "failed: interrupted by a hold"),
             TargetEnd::Failed(Failure::Alarm) => write!(f, "failed: alarm of the controller"),
+            TargetEnd::Failed(Failure::Restarted) => write!(f, "failed: the controller restarted"),
             TargetEnd::Failed(Failure::TimedOut) => write!(f, "failed: it took too long"),
             TargetEnd::Failed(Failure::Controller { code }) => {
                 write!(f, "failed: error {code} of the controller")
