@@ -58,8 +58,9 @@ impl Stretch {
 
 impl Part {
     /// The axis of an edge from its `from` to its `to`, both ends included, in equal steps of `step_mm` or a little
-    /// less. Corners are arcs of the bend radius that touch both legs; where a leg is too short for its arcs (an
-    /// inner leg gives half of its length to each) the radius shrinks until they fit.
+    /// less (in 100 000 steps where they would be more). Corners are arcs of the bend radius that touch both legs;
+    /// where a leg is too short for its arcs (an inner leg gives half of its length to each) the radius shrinks
+    /// until they fit.
     ///
     /// # Panics
     /// Where there is no such edge, or `step_mm` is not above 0.
@@ -67,7 +68,7 @@ impl Part {
         assert!(step_mm > 0.0, "a step of {step_mm} mm along an edge");
         let stretches = self.stretches(edge);
         let length: f64 = stretches.iter().map(Stretch::length).sum();
-        let steps = (length / step_mm).ceil().clamp(1.0, 1e6) as usize;
+        let steps = (length / step_mm).ceil().clamp(1.0, 1e5) as usize;
         let mut points = Vec::with_capacity(steps + 1);
         let (mut current, mut passed) = (0, 0.0);
         for i in 0..=steps {

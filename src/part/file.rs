@@ -12,6 +12,8 @@ use super::{
 
 /// Parts are thin things on a table; a coordinate beyond this is a slip of units.
 const COORDINATE_MAX_MM: f64 = 10_000.0;
+/// Thinner wire is a slip of units.
+const THICKNESS_MIN_MM: f64 = 0.05;
 /// Approach and closing may be off the right angle by 1 degree (rounded digits); it is taken out.
 const SQUARE_TOLERANCE: f64 = 0.018;
 
@@ -111,6 +113,10 @@ impl Check<'_> {
             return Err(self.value("name", format!("{:?}", file.name), "must be a word that can be printed"));
         }
         let thickness_mm = self.length("thickness_mm", file.thickness_mm)?;
+        if thickness_mm < THICKNESS_MIN_MM {
+            let problem = format!("must be at least {THICKNESS_MIN_MM} mm; no camera sees thinner wire");
+            return Err(self.value("thickness_mm", thickness_mm, &problem));
+        }
         let bend_radius_mm = file.bend_radius_mm.unwrap_or(BEND_RADIUS_PER_THICKNESS * thickness_mm);
         if !(0.0..=COORDINATE_MAX_MM).contains(&bend_radius_mm) {
             return Err(self.value("bend_radius_mm", bend_radius_mm, "must be 0 or more, or be left out"));
@@ -288,8 +294,9 @@ impl Check<'_> {
     /// The grasp is on the wire, and the fingers close across it.
     fn grasp_on_wire(&self, part: &Part) -> Result<(), PartError> {
         let grasp = part.grasp.position_mm;
-        let near: Vec<_> =
-            (0..part.edges.len()).flat_map(|e| part.centreline(e, 0.25 * part.thickness_mm)).collect();
+        let length: f64 = (0..part.edges.len()).map(|e| part.edge_length_mm(e)).sum();
+        let step_mm = (0.25 * part.thickness_mm).max(length / 10_000.0);
+        let near: Vec<_> = (0..part.edges.len()).flat_map(|e| part.centreline(e, step_mm)).collect();
         let distance = |p: &Point3<f64>| (p - grasp).norm();
         let least = near.iter().map(|p| distance(&p.position_mm)).fold(f64::MAX, f64::min);
         let allowed = 2.0 * part.thickness_mm.max(part.bend_radius_mm);

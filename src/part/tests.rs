@@ -94,6 +94,7 @@ fn what_is_wrong_in_a_part_file_is_named() {
             "line 2: unknown field `nme`, expected one of `name`, `thickness_mm`",
         ),
         ("thickness_mm = 2.5", "thickness_mm = 0.0", "thickness_mm = 0: must be above 0"),
+        ("thickness_mm = 2.5", "thickness_mm = 0.0025", "thickness_mm = 0.0025: must be at least 0.05 mm"),
         ("thickness_mm = 2.5", "thickness_mm = nan", "thickness_mm = NaN: must be above 0"),
         ("thickness_mm = 2.5", "thickness_mm = \"2\"", "line 3: invalid type: string \"2\", expected f64"),
         ("thickness_mm = 2.5\n", "", "missing field `thickness_mm`"),
@@ -183,4 +184,22 @@ fn two_parts_of_one_name_and_absent_files_are_refused() {
     assert!(message.contains("a.toml and ") && message.contains("both have name = \"rod-60\""), "{message}");
     let message = Part::read(path("c.toml")).unwrap_err().to_string();
     assert!(message.contains("c.toml: No such file"), "{message}");
+}
+
+proptest::proptest! {
+    #![proptest_config(proptest::prelude::ProptestConfig::with_cases(200))]
+
+    /// Whatever stands in the file: a part or an error, and the part can be drawn.
+    #[test]
+    fn no_text_makes_the_reader_panic(at in 0usize..600, cut in 0usize..20, put in "[-0-9a-z.,\\[\\]\"= \n]{0,8}") {
+        let mut text = fs::read_to_string(format!("{}/replay/parts/zed.toml", env!("CARGO_MANIFEST_DIR"))).unwrap();
+        let begin = at.min(text.len());
+        text.replace_range(begin..(begin + cut).min(text.len()), &put);
+        if let Ok(part) = Part::parse(&text, "zed.toml") {
+            for edge in 0..part.edges.len() {
+                let points = part.centreline(edge, 1.0);
+                proptest::prop_assert!(points.iter().all(|p| p.position_mm.coords.iter().all(|v| v.is_finite())));
+            }
+        }
+    }
 }

@@ -59,9 +59,9 @@ impl Overlay<'_> {
         let [left, right] = self.frames;
         let mut canvas = Canvas::new(left.width + GAP_PX + right.width, left.height.max(right.height));
         let offsets = [0, left.width + GAP_PX];
-        for side in 0..2 {
-            let offset = Vector2::new(offsets[side] as f64, 0.0);
-            canvas.put_frame(self.frames[side], offsets[side]);
+        for (side, offset_px) in offsets.into_iter().enumerate() {
+            let offset = Vector2::new(offset_px as f64, 0.0);
+            canvas.put_frame(self.frames[side], offset_px);
             graph(&mut canvas, self.graphs[side], offset);
             let view = View { side, offset, overlay: self };
             // the best on top

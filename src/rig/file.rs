@@ -13,7 +13,7 @@ const ROTATION_TOLERANCE: f64 = 2e-4;
 /// Shorter baselines are taken for metres in place of millimetres.
 const BASELINE_MIN_MM: f64 = 1.0;
 /// Sides of a picture beyond this are refused.
-const SIDE_MAX_PX: usize = 65_536;
+const SIDE_MAX_PX: usize = 8192;
 
 impl Rig {
     /// Reads a calibration: an OpenCV FileStorage YAML file with `image_width image_height M1 D1 M2 D2 R T` (T in

@@ -176,6 +176,21 @@ proptest! {
         prop_assert!((seen.point_left_mm - best).norm() < 1e-3);
     }
 
+    /// Whatever stands in the file: a rig whose numbers are finite, or an error.
+    #[test]
+    fn no_text_makes_the_reader_panic(at in 0usize..1300, cut in 0usize..40, put in "[-0-9a-zM.,:!\\[\\]\" \n]{0,8}") {
+        let mut text = fs::read_to_string(conveyor()).unwrap();
+        let begin = at.min(text.len());
+        text.replace_range(begin..(begin + cut).min(text.len()), &put);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("rig.yaml");
+        fs::write(&path, text).unwrap();
+        if let Ok(rig) = Rig::read(&path) {
+            let corner = rig.left.undistort(Vector2::new(639.0, 479.0));
+            prop_assert!(rig.essential().iter().chain(corner.iter()).all(|v| v.is_finite()), "{rig:?}");
+        }
+    }
+
     #[test]
     fn the_table_undistorts_within_its_stated_error(x in -0.5f64..639.5, y in -0.5f64..479.5) {
         let camera = CameraModel { fx: 520.0, fy: 520.0, ..camera(8) };
