@@ -16,6 +16,7 @@ pub mod device;
 mod error;
 pub mod format;
 mod intake;
+pub mod list;
 mod uapi;
 
 use std::io;
@@ -281,14 +282,19 @@ fn stamp(filled: &Filled, now: Timestamp) -> (Timestamp, TimestampMark) {
 fn configure(device: &Device, asked: &CameraSettings) -> Result<DriverFormat, CameraError> {
     let error = |step| move |reason| CameraError::of(&asked.device, asked, step, reason);
     let code = format::code(asked.format);
-    let taken = device.set_format(code, asked.width, asked.height).map_err(error("set the format"))?;
-    let rate = device.set_rate(asked.rate_hz).map_err(error("set the frame rate"))?;
-    format::check_taken(asked, &taken, rate).map_err(|taken| CameraError::NotOffered {
+    let not_offered = |taken| CameraError::NotOffered {
         device: asked.device.clone(),
         asked: in_words(asked),
         taken,
         offered: format::in_words(&format::offered(device)),
-    })?;
+    };
+    let taken = match device.set_format(code, asked.width, asked.height) {
+        // Most drivers take the nearest they have; some have none.
+        Err(reason) if reason.raw_os_error() == Some(libc::EINVAL) => Err(not_offered("nothing".to_owned())),
+        result => result.map_err(error("set the format")),
+    }?;
+    let rate = device.set_rate(asked.rate_hz).map_err(error("set the frame rate"))?;
+    format::check_taken(asked, &taken, rate).map_err(not_offered)?;
     Ok(taken)
 }
 

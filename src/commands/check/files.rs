@@ -1,0 +1,217 @@
+//! What `check` finds in the files that a cell names: calibration, parts, session, region, workspace.
+
+use std::path::Path;
+use std::time::{Duration, SystemTime};
+
+use nalgebra::Point3;
+
+use super::Findings;
+use crate::config::{Backend, Cell};
+use crate::part::Part;
+use crate::rig::Rig;
+use crate::session::{Session, read_picture};
+use crate::vision::binarize::Binarize;
+
+/// After so long a calibration should be looked at again: screws settle, mounts creep.
+const CALIBRATION_AGE_MAX: Duration = Duration::from_secs(90 * 24 * 3600);
+
+/// Baselines outside of this are most likely metres or a slip, in mm.
+const BASELINE_MM: std::ops::RangeInclusive<f64> = 5.0..=2000.0;
+
+/// Calibration, parts, session, region. Gives the rig where it can be read.
+pub(super) fn check(cell: &Cell, findings: &mut Findings) -> Option<Rig> {
+    let rig = calibration(cell, findings);
+    match Part::read_all(&cell.recognition.parts) {
+        Ok(parts) => {
+            let names: Vec<_> = parts.iter().map(|part| part.name.as_str()).collect();
+            findings.ok("parts", names.join(", "));
+        }
+        Err(error) => findings.wrong("parts", error.to_string()),
+    }
+    if cell.cameras.backend == Backend::Replay {
+        session(cell, rig.as_ref(), findings);
+    }
+    if let Some(rig) = &rig {
+        region(cell, rig, findings);
+    }
+    rig
+}
+
+fn calibration(cell: &Cell, findings: &mut Findings) -> Option<Rig> {
+    let path = &cell.rig.calibration;
+    let rig = match Rig::read(path) {
+        Ok(rig) => rig,
+        Err(error) => {
+            findings.wrong("calibration", error.to_string());
+            return None;
+        }
+    };
+    let (width, height) = (rig.left.width, rig.left.height);
+    let baseline_mm = rig.baseline_mm();
+    let about = format!("{}: {width}x{height}, baseline {baseline_mm:.1} mm", path.display());
+    if BASELINE_MM.contains(&baseline_mm) {
+        findings.ok("calibration", about);
+    } else {
+        findings.warning("calibration", about, "T must be in millimetres; see whether it is");
+    }
+    if let Some(age) = age(path).filter(|age| *age > CALIBRATION_AGE_MAX) {
+        findings.warning(
+            "calibration age",
+            format!("the file is {} days old", age.as_secs() / 86_400),
+            "see with `pickcell calibrate check` whether it still holds",
+        );
+    }
+    let cameras = [("left", &cell.cameras.left), ("right", &cell.cameras.right)];
+    for (side, camera) in cameras {
+        let Some(camera) = camera else { continue };
+        if let Err(error) = rig.check_size(camera.width as usize, camera.height as usize) {
+            findings.wrong(&format!("calibration for the {side} camera"), error.to_string());
+        }
+    }
+    Some(rig)
+}
+
+fn age(path: &Path) -> Option<Duration> {
+    let changed = std::fs::metadata(path).ok()?.modified().ok()?;
+    SystemTime::now().duration_since(changed).ok()
+}
+
+fn session(cell: &Cell, rig: Option<&Rig>, findings: &mut Findings) {
+    let Some(path) = &cell.cameras.session else { return };
+    if path.is_file() {
+        findings.ok("session", format!("{} is a file", path.display()));
+        return;
+    }
+    let session = match Session::open(path) {
+        Ok(session) => session,
+        Err(error) => return findings.wrong("session", error.to_string()),
+    };
+    let about = format!("{}: {} pairs at {} a second", path.display(), session.pairs.len(), session.rate_hz);
+    let first = session.pairs.iter().flat_map(|pair| pair.pictures.iter().flatten()).next();
+    match first.map(|picture| read_picture(picture)) {
+        Some(Err(error)) => findings.wrong("session", error.to_string()),
+        Some(Ok(frame)) => match rig.map(|rig| rig.check_size(frame.width, frame.height)) {
+            Some(Err(error)) => findings.wrong("session", format!("{about}; {error}")),
+            _ => findings.ok("session", format!("{about}, {}x{}", frame.width, frame.height)),
+        },
+        None => findings.wrong("session", format!("{about}, no picture in them")),
+    }
+}
+
+fn region(cell: &Cell, rig: &Rig, findings: &mut Findings) {
+    let params = cell.recognition_params().binarize;
+    let cameras = [("left", &rig.left), ("right", &rig.right)];
+    for (params, (side, camera)) in params.into_iter().zip(cameras) {
+        let whole = params.region_px.is_empty();
+        match Binarize::new(params, camera.width, camera.height) {
+            Err(error) => findings.wrong(&format!("recognition, {side} picture"), error.to_string()),
+            Ok(binarize) => {
+                let seen: u32 = binarize
+                    .region()
+                    .map_or(0, |region| region.words().iter().map(|word| word.count_ones()).sum());
+                if !whole && seen == 0 {
+                    findings.error(
+                        &format!("region of the {side} picture"),
+                        "no pixel is inside",
+                        "give region_px a polygon with an area, corners in order",
+                    );
+                }
+            }
+        }
+    }
+}
+
+/// Whether the workspace is where the cameras look.
+pub(super) fn check_workspace(cell: &Cell, rig: &Rig, findings: &mut Findings) {
+    let Some(base_from_left) = cell.rig.base_from_left else {
+        findings.error(
+            "workspace",
+            "[rig] has no base_from_left, so that grasps are known in the camera's frame only",
+            "measure it with `pickcell calibrate hand-eye` or `pickcell calibrate touch`",
+        );
+        return;
+    };
+    let workspace = &cell.arm_side.workspace;
+    let [low, high] = [workspace.min_mm, workspace.max_mm];
+    let camera = base_from_left.translation.vector;
+    let inside = (0..3).all(|axis| camera[axis] >= low[axis] && camera[axis] <= high[axis]);
+    if inside {
+        findings.warning(
+            "workspace",
+            "the left camera stands inside it",
+            "make [workspace] smaller, or see whether rig.base_from_left is right",
+        );
+    }
+    let (seen, all) = seen_share(rig, &base_from_left, low, high);
+    let about = format!(
+        "{:.0} x {:.0} x {:.0} mm, both cameras see {:.0} % of its floor",
+        high[0] - low[0],
+        high[1] - low[1],
+        high[2] - low[2],
+        100.0 * f64::from(seen) / f64::from(all)
+    );
+    if seen == 0 {
+        findings.error(
+            "workspace",
+            about,
+            "no part that the cameras see can be inside; compare rig.base_from_left with [workspace]",
+        );
+    } else {
+        findings.ok("workspace", about);
+    }
+    place(cell, findings);
+}
+
+/// Points of a grid over the box's floor that both cameras see, and all of them.
+fn seen_share(
+    rig: &Rig,
+    base_from_left: &nalgebra::Isometry3<f64>,
+    low: [f64; 3],
+    high: [f64; 3],
+) -> (u32, u32) {
+    const STEPS: u32 = 32;
+    let left_from_base = base_from_left.inverse();
+    let mut seen = 0;
+    for i in 0..=STEPS {
+        for j in 0..=STEPS {
+            let along =
+                |axis: usize, n: u32| low[axis] + (high[axis] - low[axis]) * f64::from(n) / f64::from(STEPS);
+            let point = left_from_base * Point3::new(along(0, i), along(1, j), low[2]);
+            let left = rig.project_left(&point).is_some_and(|px| rig.left.sees(px, 0.0));
+            let right = rig.project_right(&point).is_some_and(|px| rig.right.sees(px, 0.0));
+            seen += u32::from(left && right);
+        }
+    }
+    (seen, (STEPS + 1) * (STEPS + 1))
+}
+
+fn place(cell: &Cell, findings: &mut Findings) {
+    let Some(place) = &cell.place else { return };
+    let workspace = &cell.arm_side.workspace;
+    let corner = |column: u32, row: u32| {
+        place.first_mm + f64::from(column) * place.column_step_mm + f64::from(row) * place.row_step_mm
+    };
+    let (columns, rows) = (place.columns - 1, place.rows - 1);
+    for (column, row) in [(0, 0), (columns, 0), (0, rows), (columns, rows)] {
+        let slot = corner(column, row);
+        if (0..3).any(|axis| slot[axis] < workspace.min_mm[axis] || slot[axis] > workspace.max_mm[axis]) {
+            findings.error(
+                "place",
+                format!(
+                    "slot in column {} of row {} at ({:.1}, {:.1}, {:.1}) mm is outside the workspace",
+                    column + 1,
+                    row + 1,
+                    slot.x,
+                    slot.y,
+                    slot.z
+                ),
+                "move [place] or widen [workspace]: the last gate would refuse every target",
+            );
+            return;
+        }
+    }
+    findings.ok(
+        "place",
+        format!("{} slots in {} row(s), all in the workspace", place.columns * place.rows, place.rows),
+    );
+}

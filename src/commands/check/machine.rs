@@ -1,0 +1,177 @@
+//! What `check` finds about the machine: rights for real time, memory, cores, the arm's port, shared memory.
+
+use std::io;
+use std::path::Path;
+
+use firmware_bridge::config::Link;
+use rustix::fs::{Access, Mode, OFlags};
+use rustix::process::{Resource, getrlimit};
+
+use super::Findings;
+use crate::config::{Cell, Scheduling};
+
+/// Memory that a cell locks at most, bytes: pictures, stages and the program itself.
+const LOCKED_BYTES: u64 = 512 << 20;
+
+/// Rights, memory, cores, and the way to the arm.
+pub(super) fn check(cell: &Cell, findings: &mut Findings) {
+    cores(cell, findings);
+    scheduling(cell, findings);
+    if cell.realtime.lock_memory {
+        locked_memory(findings);
+    }
+    match cell.arm_side.arm.link {
+        Link::Replay => findings.ok("arm", "that of the session, or simulated"),
+        Link::Serial => match &cell.arm_side.arm.port {
+            Some(port) => serial_port(port, findings),
+            None => findings.wrong("arm", "link = \"serial\" needs arm.port"),
+        },
+        Link::SharedMemory => shared_memory(&cell.arm_side.arm.service, findings),
+    }
+    if let Some(place) = &cell.place {
+        let folder = place.state.parent().filter(|folder| !folder.as_os_str().is_empty());
+        writable("place.state", folder.unwrap_or(Path::new(".")), findings);
+    }
+}
+
+fn cores(cell: &Cell, findings: &mut Findings) {
+    let there = std::thread::available_parallelism().map_or(1, usize::from);
+    if let Some(core) = cell.realtime.cores.iter().find(|core| **core >= there) {
+        findings.error(
+            "cores",
+            format!("realtime.cores names core {core}, this machine gives cores 0 to {}", there - 1),
+            "name cores that are there, or leave the key out",
+        );
+    } else if there < 2 {
+        findings.warning(
+            "cores",
+            "only one core: the kernel's own workers share it with the cell",
+            "give the machine two cores",
+        );
+    } else {
+        findings.ok("cores", format!("{there}"));
+    }
+}
+
+fn scheduling(cell: &Cell, findings: &mut Findings) {
+    if cell.realtime.scheduling == Scheduling::Normal {
+        return findings.ok("real-time rights", "not asked for: realtime.scheduling = \"normal\"");
+    }
+    let realtime = &cell.realtime;
+    let priority = realtime.arm_priority.max(realtime.grab_priority).max(realtime.recognise_priority);
+    // The only proof is to ask for it, in a thread that ends at once.
+    let granted = std::thread::spawn(move || ask_for_fifo(i32::from(priority))).join();
+    match granted {
+        Ok(Ok(())) => {
+            findings.ok("real-time rights", format!("SCHED_FIFO up to priority {priority} is granted"))
+        }
+        Ok(Err(error)) => findings.warning(
+            "real-time rights",
+            format!("SCHED_FIFO with priority {priority} is refused: {error}"),
+            "start the cell by the systemd unit of deploy/ (LimitRTPRIO), or give the user `rtprio 40` in \
+             /etc/security/limits.d; without it a busy machine delays targets by many milliseconds",
+        ),
+        Err(_) => findings.warning("real-time rights", "not known", "try again"),
+    }
+}
+
+fn ask_for_fifo(priority: i32) -> io::Result<()> {
+    let parameters = libc::sched_param { sched_priority: priority };
+    // SAFETY: sets the scheduling of the calling thread only, from a structure that lives through the call.
+    match unsafe {
+        libc::pthread_setschedparam(libc::pthread_self(), libc::SCHED_FIFO, &raw const parameters)
+    } {
+        0 => Ok(()),
+        errno => Err(io::Error::from_raw_os_error(errno)),
+    }
+}
+
+fn locked_memory(findings: &mut Findings) {
+    let limit = getrlimit(Resource::Memlock).current;
+    let privileged = rustix::process::geteuid().is_root();
+    match limit {
+        None => findings.ok("locked memory", "no limit"),
+        Some(_) if privileged => findings.ok("locked memory", "no limit for root"),
+        Some(bytes) if bytes >= LOCKED_BYTES => findings.ok("locked memory", format!("up to {} MiB", bytes >> 20)),
+        Some(bytes) => findings.warning(
+            "locked memory",
+            format!("only {} KiB may be locked, the cell locks up to {} MiB", bytes >> 10, LOCKED_BYTES >> 20),
+            "start the cell by the systemd unit of deploy/ (LimitMEMLOCK), or give the user `memlock unlimited` in \
+             /etc/security/limits.d",
+        ),
+    }
+}
+
+fn serial_port(port: &Path, findings: &mut Findings) {
+    let subject = "serial port";
+    let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
+    let shown = port.display();
+    match rustix::fs::open(port, flags, Mode::empty()).map_err(io::Error::from) {
+        Ok(fd) if rustix::termios::isatty(&fd) => findings.ok(subject, format!("{shown} can be opened")),
+        Ok(_) => findings.wrong(subject, format!("{shown} is no serial port; `pickcell devices` lists them")),
+        Err(error) => match error.raw_os_error() {
+            Some(libc::ENOENT | libc::ENODEV | libc::ENXIO) => findings.error(
+                subject,
+                format!("{shown}: there is no such port"),
+                "plug the arm in, or take its path from `pickcell devices`",
+            ),
+            Some(libc::EACCES | libc::EPERM) => findings.error(
+                subject,
+                format!("{shown}: no right to open it (EACCES)"),
+                "add the user to the group dialout and log in again, or install the udev rule of deploy/",
+            ),
+            Some(libc::EBUSY) => findings.error(
+                subject,
+                format!("{shown}: another program has it (EBUSY)"),
+                format!("end that one, `fuser -v {shown}` names it"),
+            ),
+            _ => findings.error(subject, format!("{shown}: {error}"), "plug the arm in anew"),
+        },
+    }
+}
+
+fn shared_memory(service: &str, findings: &mut Findings) {
+    // iceoryx2 keeps its data segments in /dev/shm and its locks in the temporary directory.
+    let rights = Access::READ_OK | Access::WRITE_OK | Access::EXEC_OK;
+    for folder in ["/dev/shm", "/tmp"] {
+        if let Err(error) = rustix::fs::access(folder, rights) {
+            return findings.error(
+                "shared memory",
+                format!("{folder} cannot be used: {}", io::Error::from(error)),
+                "mount it with write access for the cell's user; a service must not have PrivateTmp=yes",
+            );
+        }
+    }
+    findings.ok(
+        "shared memory",
+        format!("service {service:?}; `firmware-bridge run` of the same user takes the targets"),
+    );
+}
+
+/// Whether a folder that the cell writes into is there, or can be made.
+fn writable(subject: &str, folder: &Path, findings: &mut Findings) {
+    let shown = folder.display();
+    if !folder.exists() {
+        let made = folder.ancestors().find(|ancestor| ancestor.exists() || ancestor.as_os_str().is_empty());
+        let above = made.filter(|above| !above.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        match rustix::fs::access(above, Access::WRITE_OK) {
+            Ok(()) => findings.ok(subject, format!("{shown} will be made")),
+            Err(error) => findings.error(
+                subject,
+                format!("{shown} is not there and cannot be made: {}", io::Error::from(error)),
+                format!(
+                    "make it, with write access for the cell's user, or name another in cell.toml ({subject})"
+                ),
+            ),
+        }
+        return;
+    }
+    match rustix::fs::access(folder, Access::WRITE_OK) {
+        Ok(()) => findings.ok(subject, format!("{shown} can be written")),
+        Err(error) => findings.error(
+            subject,
+            format!("{shown} cannot be written: {}", io::Error::from(error)),
+            "give the cell's user write access",
+        ),
+    }
+}

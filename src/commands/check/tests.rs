@@ -1,0 +1,92 @@
+//! What `check` says about cells without hardware.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use super::*;
+
+fn project() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// A copy of the project's cell with one piece of it replaced; paths still lead into the project.
+fn changed(was: &str, is: &str) -> (tempfile::TempDir, PathBuf) {
+    let text = fs::read_to_string(project().join("cell.toml")).expect("the project's cell");
+    assert!(text.contains(was), "{was:?} is not in the project's cell");
+    let replay = format!("\"{}/replay/", project().display());
+    let text = text.replacen(was, is, 1).replace("\"replay/", &replay);
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let file = folder.path().join("cell.toml");
+    fs::write(&file, text).expect("a file");
+    (folder, file)
+}
+
+fn findings(cell: &Path) -> Findings {
+    check(&CheckArgs { cell: cell.to_owned(), format: Format::Text })
+}
+
+fn complaint(was: &str, is: &str) -> (u8, String) {
+    let (_folder, cell) = changed(was, is);
+    let findings = findings(&cell);
+    let worst = findings.findings.iter().max_by_key(|finding| finding.level).expect("a finding");
+    let remedy = worst.remedy.clone().unwrap_or_default();
+    (findings.exit_code(), format!("{}: {} → {remedy}", worst.subject, worst.finding))
+}
+
+#[test]
+fn the_cell_that_comes_with_the_project_is_ready() {
+    let findings = findings(&project().join("cell.toml"));
+    assert_eq!(findings.exit_code(), 0, "{}", findings.in_words());
+    let subjects: Vec<_> = findings.findings.iter().map(|finding| finding.subject.as_str()).collect();
+    for subject in ["cell.toml", "calibration", "parts", "session", "workspace", "place", "cores", "arm"] {
+        assert!(subjects.contains(&subject), "{subject} in {subjects:?}");
+    }
+    let json: serde_json::Value = serde_json::from_str(&findings.as_json()).expect("json");
+    assert_eq!(json["ready"], true);
+    assert_eq!(json["findings"][0]["level"], "ok");
+}
+
+#[test]
+fn a_cell_that_is_wrong_ends_with_2() {
+    let (code, text) = complaint("threads = 1", "threads = 3");
+    assert_eq!(code, 2);
+    assert!(text.contains("recognition.threads = 3 is not possible; allowed: 1 or 2"), "{text}");
+    let (code, text) = complaint("session = \"replay/conveyor\"", "session = \"replay/parts\"");
+    assert_eq!((code, text.starts_with("session: ")), (2, true), "{text}");
+    let (code, text) =
+        complaint("# region_px = [[0, 0], [640, 0], [640", "region_px = [[0, 0], [700, 0], [640");
+    assert_eq!(code, 2);
+    assert!(text.contains("outside the 640x480 picture"), "{text}");
+    let missing = findings(Path::new("/nowhere/cell.toml"));
+    assert_eq!(missing.exit_code(), 2);
+    assert!(missing.in_words().contains("name the cell's file with --cell FILE"));
+}
+
+#[test]
+fn what_would_keep_the_cell_from_picking_ends_with_1() {
+    let (code, text) = complaint("max_mm = [420.0, 260.0, 220.0]", "max_mm = [420.0, 160.0, 220.0]");
+    assert_eq!(code, 1);
+    assert!(
+        text.contains("slot in column 1 of row 1 at (160.0, 170.0, 20.0) mm is outside the workspace"),
+        "{text}"
+    );
+    let (code, text) = complaint("link = \"replay\"", "link = \"serial\"\nport = \"/dev/none\"");
+    assert_eq!(code, 1);
+    assert!(text.contains("/dev/none: there is no such port → plug the arm in"), "{text}");
+    let (code, text) = complaint("translation_mm = [230.0,", "translation_mm = [2300.0,");
+    assert_eq!(code, 1);
+    assert!(text.contains("both cameras see 0 % of its floor → no part that the cameras see"), "{text}");
+    let (code, text) = complaint("base_from_left =", "# base_from_left =");
+    assert_eq!(code, 1);
+    assert!(text.contains("`pickcell calibrate hand-eye`"), "{text}");
+    let (code, text) = complaint("# cores = [0]", "cores = [900]");
+    assert_eq!(code, 1);
+    assert!(text.contains("realtime.cores names core 900"), "{text}");
+}
+
+#[test]
+fn a_regular_file_is_no_serial_port() {
+    let (code, text) = complaint("link = \"replay\"", "link = \"serial\"\nport = \"cell.toml\"");
+    assert_eq!(code, 2);
+    assert!(text.contains("cell.toml is no serial port"), "{text}");
+}
