@@ -5,7 +5,7 @@ use std::io::Write;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand, ValueEnum};
-use pickcell::commands::{accuracy, recognize};
+use pickcell::commands::{accuracy, check, devices, recognize};
 
 /// Drives a robot cell: two webcams see thin parts in a bin, the arm gets grasp targets
 #[derive(Parser)]
@@ -25,6 +25,8 @@ struct Cli {
 enum Command {
     Recognize(Box<recognize::RecognizeArgs>),
     Accuracy(accuracy::Accuracy),
+    Devices(devices::DevicesArgs),
+    Check(check::CheckArgs),
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -48,7 +50,18 @@ fn main() -> ExitCode {
             Ok(code) => code.into(),
             Err(e) => fail(cli.log_format, &e, 1),
         },
+        Command::Devices(args) => print(&devices::run(&args), 0),
+        Command::Check(args) => {
+            let (text, code) = check::run(&args);
+            print(&text, code)
+        }
     }
+}
+
+/// Puts a result on standard output; whoever reads it may have gone.
+fn print(text: &str, code: u8) -> ExitCode {
+    drop(std::io::stdout().write_all(text.as_bytes()));
+    code.into()
 }
 
 /// Diagnostics go to standard error; `PICKCELL_LOG` chooses what, as in `PICKCELL_LOG=debug`.

@@ -3,7 +3,7 @@
 use std::io;
 use std::path::Path;
 
-use firmware_bridge::config::Link;
+use firmware_bridge::config::LinkName;
 use rustix::fs::{Access, Mode, OFlags};
 use rustix::process::{Resource, getrlimit};
 
@@ -21,12 +21,12 @@ pub(super) fn check(cell: &Cell, findings: &mut Findings) {
         locked_memory(findings);
     }
     match cell.arm_side.arm.link {
-        Link::Replay => findings.ok("arm", "that of the session, or simulated"),
-        Link::Serial => match &cell.arm_side.arm.port {
+        LinkName::Replay => findings.ok("arm", "that of the session, or simulated"),
+        LinkName::Serial => match &cell.arm_side.arm.port {
             Some(port) => serial_port(port, findings),
             None => findings.wrong("arm", "link = \"serial\" needs arm.port"),
         },
-        Link::SharedMemory => shared_memory(&cell.arm_side.arm.service, findings),
+        LinkName::SharedMemory => shared_memory(&cell.arm_side.arm.service, findings),
     }
     if let Some(place) = &cell.place {
         let folder = place.state.parent().filter(|folder| !folder.as_os_str().is_empty());
