@@ -417,3 +417,5 @@ fn decode<M: Message>(packet: &mut [u8]) -> Result<M, PacketError> {
 
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod vectors;

@@ -3,7 +3,7 @@
 use super::*;
 use proptest::prelude::*;
 
-pub(crate) fn wire_pick() -> WirePick {
+pub(super) fn wire_pick() -> WirePick {
     let at = |x, y, z| WirePose { position_mm: [x, y, z], orientation_xyzw: [1.0, 0.0, 0.0, 0.0] };
     WirePick {
         session: 70_000,
@@ -31,13 +31,13 @@ fn status() -> Status {
     }
 }
 
-fn packet<M: Message>(message: &M) -> Vec<u8> {
+pub(super) fn packet<M: Message>(message: &M) -> Vec<u8> {
     let mut out = [0; PACKET_LEN_MAX];
     let len = encode(message, &mut out).unwrap();
     out[..len].to_vec()
 }
 
-fn all<M: Message>(decoder: &mut Decoder, bytes: &[u8]) -> Vec<Result<M, PacketError>> {
+pub(super) fn all<M: Message>(decoder: &mut Decoder, bytes: &[u8]) -> Vec<Result<M, PacketError>> {
     bytes.iter().filter_map(|&b| decoder.push(b)).collect()
 }
 
