@@ -1,7 +1,8 @@
 //! A cell's dialect and a simulated arm on one serial line, on a simulated clock.
 
+use crate::cell::{Cell, Way};
 use firmware_bridge::config::{DialectName, Settings};
-use firmware_bridge::dialect::{Dialect, TRANSMIT_LEN_MIN};
+use firmware_bridge::dialect::TRANSMIT_LEN_MIN;
 use firmware_bridge::message::{Command, Pick, Pose, Refusal, Report, Seen};
 use firmware_bridge::simulate::{Faults, Motion, SimulatedArm};
 use std::collections::VecDeque;
@@ -67,7 +68,7 @@ impl Wire {
 /// The line, both its ends, the clock, and what was seen so far.
 pub(crate) struct Bench {
     pub(crate) now_ns: i64,
-    pub(crate) cell: Dialect,
+    pub(crate) cell: Cell,
     pub(crate) arm: SimulatedArm,
     settings: Settings,
     to_arm: Wire,
@@ -83,20 +84,26 @@ pub(crate) struct Bench {
 }
 
 impl Bench {
-    pub(crate) fn new(dialect: DialectName, faults: Faults) -> Self {
-        Self::of_two(dialect, dialect, faults)
+    pub(crate) fn new(way: Way, dialect: DialectName, faults: Faults) -> Self {
+        Self::with(way, settings(dialect), dialect, faults, LATENCY_NS)
     }
 
     /// A cell that expects one dialect and an arm that speaks another.
     pub(crate) fn of_two(cell: DialectName, arm: DialectName, faults: Faults) -> Self {
-        Self::with(settings(cell), arm, faults, LATENCY_NS)
+        Self::with(Way::Serial, settings(cell), arm, faults, LATENCY_NS)
     }
 
     /// With settings and a delay of the line of one's own.
-    pub(crate) fn with(settings: Settings, arm: DialectName, faults: Faults, latency_ns: i64) -> Self {
+    pub(crate) fn with(
+        way: Way,
+        settings: Settings,
+        arm: DialectName,
+        faults: Faults,
+        latency_ns: i64,
+    ) -> Self {
         let mut bench = Self {
             now_ns: 1_000 * MS,
-            cell: Dialect::new(&settings, 100).unwrap(),
+            cell: Cell::new(way, &settings, 100),
             arm: SimulatedArm::new(arm, PARK_MM, faults),
             settings,
             to_arm: Wire::new(latency_ns),
@@ -115,9 +122,18 @@ impl Bench {
 
     /// The cell's process is killed and another one starts: it knows nothing, but bytes under way stay under way.
     pub(crate) fn kill_cell(&mut self, session_seed: u32) {
-        self.cell = Dialect::new(&self.settings, session_seed).unwrap();
-        self.written = None;
-        self.cell.on_link(true, self.now_ns);
+        if !self.cell.kill_driver(&self.settings, session_seed) {
+            self.written = None;
+            self.cell.on_link(true, self.now_ns);
+        }
+    }
+
+    /// The bridge's process is killed and another one starts, where there is one.
+    pub(crate) fn kill_bridge(&mut self, session_seed: u32) {
+        if self.cell.kill_bridge(&self.settings, session_seed) {
+            self.written = None;
+            self.cell.on_link(true, self.now_ns);
+        }
     }
 
     pub(crate) fn command(&mut self, command: Command) -> Result<(), Refusal> {

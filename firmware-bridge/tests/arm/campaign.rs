@@ -4,6 +4,7 @@
 //! `CAMPAIGN_RUNS` says how many seeds (a short form without it).
 
 use crate::bench::{Bench, DIALECTS, MS, settings};
+use crate::cell::Way;
 use firmware_bridge::config::DialectName;
 use firmware_bridge::message::{Command, Pick, Report};
 use firmware_bridge::simulate::{Fault, Faults};
@@ -50,7 +51,11 @@ impl Run {
         settings.arm.ack_timeout_ms = rng.random_range(10..100);
         // A slow line makes late acknowledgements, so that the same is sent twice.
         let latency_ns = if rng.random_bool(0.5) { 200_000 } else { rng.random_range(1..40) * MS };
-        let bench = Bench::with(settings, dialect, Faults::new(rng.next_u64(), &chosen), latency_ns);
+        let way = match rng.random_range(0..3) {
+            0 => Way::SharedMemory { delay_ns: rng.random_range(1_000..8 * MS) },
+            _ => Way::Serial,
+        };
+        let bench = Bench::with(way, settings, dialect, Faults::new(rng.next_u64(), &chosen), latency_ns);
         Self {
             bench,
             rng,
@@ -128,6 +133,10 @@ impl Run {
                 self.taken.values_mut().filter(|taken| taken.ends == 0).for_each(|taken| taken.orphan = true);
             }
             3 => self.bench.arm.reset(self.bench.now_ns),
+            5 => {
+                let seed = self.rng.next_u32();
+                self.bench.kill_bridge(seed);
+            }
             4 => self.bench.command(Command::Hello).expect("never refused"),
             _ => {}
         }

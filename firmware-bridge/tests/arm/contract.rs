@@ -1,14 +1,17 @@
-//! One list of checks for all dialects.
+//! One list of checks for all dialects and links.
 
 use crate::bench::{Bench, DIALECTS, MS};
+use crate::cell::Way;
 use firmware_bridge::config::DialectName;
 use firmware_bridge::message::{Command, Disconnect, Failure, HeldBy, Outcome, Refusal, Report, Waypoint};
 use firmware_bridge::simulate::{Faults, Motion};
 
-/// Runs a check for every dialect, on a sound line.
-fn for_all(check: impl Fn(&mut Bench, DialectName)) {
-    for dialect in DIALECTS {
-        check(&mut Bench::new(dialect, Faults::default()), dialect);
+/// Runs a check for every link and dialect, on a sound line.
+fn for_all(check: impl Fn(&mut Bench, (Way, DialectName))) {
+    for way in [Way::Serial, Way::SharedMemory { delay_ns: 20_000 }] {
+        for dialect in DIALECTS {
+            check(&mut Bench::new(way, dialect, Faults::default()), (way, dialect));
+        }
     }
 }
 
@@ -301,8 +304,57 @@ fn a_query_is_answered() {
 }
 
 #[test]
+fn a_killed_bridge_loses_the_pick_and_the_next_one_begins_on_hold() {
+    for dialect in DIALECTS {
+        let way = Way::SharedMemory { delay_ns: 20_000 };
+        let mut bench = Bench::new(way, dialect, Faults::default());
+        for (kill_after_ms, id) in [(0, 1), (3, 2), (10, 3), (400, 4)] {
+            bench.make_ready();
+            let (session, pick) = (bench.session, bench.pick(id));
+            bench.command(Command::Pick(pick)).unwrap();
+            bench.run(kill_after_ms * MS);
+            let killed_ns = bench.now_ns;
+            bench.kill_bridge(1000 * id as u32);
+            assert!(
+                bench.run_until(20_000 * MS, |r| matches!(r, Report::Connected { .. })),
+                "{}",
+                bench.tail()
+            );
+            assert_ne!(bench.session, session, "{dialect:?}");
+            let ends = bench.reports.iter().filter(
+                |(_, r)| matches!(r, Report::Refused { id: of, .. } | Report::Lost { id: of } if *of == id),
+            );
+            assert_eq!(ends.count(), 1, "{dialect:?}: {}", bench.tail());
+            bench.run(3_000 * MS);
+            assert_eq!(bench.begun(killed_ns + 500 * MS), [], "{dialect:?}: an old target begins");
+            bench.command(Command::Hello).unwrap();
+        }
+    }
+}
+
+#[test]
+fn a_driver_that_falls_silent_is_held_by_the_bridge() {
+    // The driver's process is stopped, not killed: its records come no more, the bridge lives on.
+    for dialect in DIALECTS {
+        let mut bench = Bench::new(Way::SharedMemory { delay_ns: 20_000 }, dialect, Faults::default());
+        bench.make_ready();
+        let pick = bench.pick(1);
+        bench.command(Command::Pick(pick)).unwrap();
+        assert!(bench.run_until(5_000 * MS, |r| matches!(r, Report::Moving { .. })), "{dialect:?}");
+        bench.cell.stop_driver(true);
+        let stopped_ns = bench.now_ns;
+        bench.run(4_000 * MS);
+        let begun = bench.begun(stopped_ns + 700 * MS);
+        assert_eq!(begun, [], "{dialect:?}: moves without its driver");
+        bench.cell.stop_driver(false);
+        assert!(bench.run_until(20_000 * MS, |r| matches!(r, Report::Connected { .. })), "{}", bench.tail());
+        assert!(bench.has(|r| *r == Report::Lost { id: 1 }), "{dialect:?}: {}", bench.tail());
+    }
+}
+
+#[test]
 fn the_own_protocol_remembers_its_last_pick_through_a_new_session() {
-    let mut bench = Bench::new(DialectName::Own, Faults::default());
+    let mut bench = Bench::new(Way::Serial, DialectName::Own, Faults::default());
     bench.make_ready();
     let pick = bench.pick(5);
     bench.command(Command::Pick(pick)).unwrap();

@@ -2,4 +2,5 @@
 
 mod bench;
 mod campaign;
+mod cell;
 mod contract;

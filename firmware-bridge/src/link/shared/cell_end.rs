@@ -112,8 +112,10 @@ impl CellEnd {
         }
         for number in record.newest.wrapping_sub(new.min(REPORTS as u32))..record.newest {
             if let Some(report) = record.reports[(number.wrapping_add(1) as usize) % REPORTS] {
-                self.follow(&report, now_ns);
-                self.reports.push(report);
+                if self.concerns(&report) {
+                    self.follow(&report, now_ns);
+                    self.reports.push(report);
+                }
             }
         }
         self.seen = record.newest;
@@ -209,6 +211,21 @@ impl CellEnd {
         (self.acked, self.seen) = (0, 0);
         self.not_before_ns = i64::MAX;
         self.publish_due = true;
+    }
+
+    /// Not the ends of what an earlier life of this driver had begun; it was told already.
+    fn concerns(&self, report: &Report) -> bool {
+        match *report {
+            Report::Sent { id, .. }
+            | Report::Accepted { id }
+            | Report::Moving { id }
+            | Report::Done { id }
+            | Report::Failed { id, .. }
+            | Report::Refused { id, .. }
+            | Report::Lost { id } => self.current == Some(id),
+            Report::Disconnected { .. } => self.state != State::NotConnected,
+            _ => true,
+        }
     }
 
     /// Keeps the mirror of the arm's state.
