@@ -106,4 +106,47 @@ impl<'a> LumaView<'a> {
         let lower = at(0, 1) + fx * (at(1, 1) - at(0, 1));
         upper + fy * (lower - upper)
     }
+
+    /// [`LumaView::sample`] at `N` places, `step` apart, the first at `from`; RGB and grey bytes are not rounded to
+    /// whole levels in between.
+    #[inline]
+    pub fn profile<const N: usize>(&self, from: [f32; 2], step: [f32; 2]) -> [f32; N] {
+        let place = |i: usize| [from[0] + i as f32 * step[0], from[1] + i as f32 * step[1]];
+        let inside = |p: [f32; 2]| {
+            p[0] >= 0.0 && p[1] >= 0.0 && p[0] < (self.width - 1) as f32 && p[1] < (self.height - 1) as f32
+        };
+        let whole = N > 0 && inside(from) && inside(place(N - 1));
+        match self.reading {
+            Reading::Weighted([r, g, b]) if whole => std::array::from_fn(|i| {
+                let light = |p: &[u8], at: usize| {
+                    (i32::from(p[at]) * r + i32::from(p[at + 1]) * g + i32::from(p[at + 2]) * b) as f32
+                };
+                let sum = self.between::<6>(place(i), 3, |p| (light(p, 0), light(p, 3)));
+                sum * (1.0 / (1 << colour::LUMA_SHIFT) as f32)
+            }),
+            Reading::Plain { step: 1 } if whole => std::array::from_fn(|i| {
+                self.between::<2>(place(i), 1, |p| (f32::from(p[0]), f32::from(p[1])))
+            }),
+            _ => std::array::from_fn(|i| self.sample(place(i)[0], place(i)[1])),
+        }
+    }
+
+    /// Bilinear between two pixels of a row, `LENGTH` bytes together, and the two below.
+    #[inline]
+    fn between<const LENGTH: usize>(
+        &self,
+        [x, y]: [f32; 2],
+        bytes_a_pixel: usize,
+        pair: impl Fn(&[u8; LENGTH]) -> (f32, f32),
+    ) -> f32 {
+        // `as i32` first: a conversion to unsigned takes several instructions.
+        let (x0, y0) = (x as i32, y as i32);
+        let (fx, fy) = (x - x0 as f32, y - y0 as f32);
+        let at = y0 as usize * self.stride + bytes_a_pixel * x0 as usize;
+        let row = |at: usize| self.bytes[at..].first_chunk::<LENGTH>().map_or((0.0, 0.0), &pair);
+        let (upper, lower) = (row(at), row(at + self.stride));
+        let upper = upper.0 + fx * (upper.1 - upper.0);
+        let lower = lower.0 + fx * (lower.1 - lower.0);
+        upper + fy * (lower - upper)
+    }
 }

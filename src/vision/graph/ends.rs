@@ -14,7 +14,7 @@ use std::ops::Range;
 /// Distance of the outer rays from the middle one, in half thicknesses.
 const RAY_OFFSET: f32 = 0.4;
 /// Farthest that grey values may move an end from the mask's border, in pixels.
-const SHIFT_MAX_PX: f32 = 2.0;
+const SHIFT_MAX_PX: usize = 2;
 /// Most pixels that thinning is taken to have eaten from an end. A diagonal line of even thickness shrinks from its
 /// end by many pixels, a known weakness of Zhang and Suen's conditions (doi:10.1145/62065.62074).
 const EATEN_PX_MAX: f32 = 80.0;
@@ -55,7 +55,7 @@ fn put_back_one(mask: &BitImage, luma: Option<&LumaView>, graph: &mut Graph, e: 
     let Some(ray) = ray_at_end(chain, end == 1, half, graph.nodes[n].skeleton_px) else { return };
     let node = &mut graph.nodes[n];
     let (distance, seen) = match free_length(mask, ray, half) {
-        Free::Ends => distance_to_end(mask, luma, ray, half),
+        Free::Ends(border) => distance_to_end(mask, luma, ray, half, border),
         Free::RunsInto(distance) => (distance.min(half), false),
     };
     let aside = middle_aside(mask, luma, ray, distance, half);
@@ -64,7 +64,8 @@ fn put_back_one(mask: &BitImage, luma: Option<&LumaView>, graph: &mut Graph, e: 
 }
 
 /// The line through the end of a chain, from its last pixel outwards. Its direction comes from the pixels half a
-/// thickness to two and a half thicknesses from the end: nearer ones bend into a corner of the part.
+/// thickness to two and a half thicknesses (at least 14 pixels) from the end: nearer ones bend into a corner of the
+/// part.
 pub(super) fn ray_at_end(chain: &[[u16; 2]], at_last: bool, half: f32, tip: [f32; 2]) -> Option<Ray> {
     let skip = (half as usize).min(chain.len() / 4);
     let take = ((4.0 * half) as usize).max(14).min(chain.len() - skip);
@@ -79,7 +80,7 @@ pub(super) fn ray_at_end(chain: &[[u16; 2]], at_last: bool, half: f32, tip: [f32
     };
     let (near, far) = (mean(skip..skip + take / 2), mean(skip + take / 2..skip + take));
     let (dx, dy) = (near[0] - far[0], near[1] - far[1]);
-    let length = dx.hypot(dy);
+    let length = (dx * dx + dy * dy).sqrt();
     if length < 0.1 {
         return None;
     }
@@ -90,43 +91,47 @@ pub(super) fn ray_at_end(chain: &[[u16; 2]], at_last: bool, half: f32, tip: [f32
 
 /// What lies ahead of the last skeleton pixel.
 enum Free {
-    /// The mask ends, with nothing beside it.
-    Ends,
+    /// The mask ends here, with nothing beside it.
+    Ends(f32),
     /// The mask goes on or widens into another part at this distance, or the picture ends there.
     RunsInto(f32),
 }
 
 /// Follows the mask outwards, a pixel at a time, and looks to both sides of the part.
 fn free_length(mask: &BitImage, ray: Ray, half: f32) -> Free {
-    let reach = EATEN_PX_MAX as i32;
+    let reach = (2.0 * half + 6.0) as i32;
     let aside = 1.3 * half + 1.5;
+    let [middle, left, right] =
+        [0.0, -aside, aside].map(|aside| Places::new(mask, Ray { from: ray.at(0.0, aside), ..ray }, 1.0));
     let mut beside = 0;
     for step in 0..reach {
-        let along = step as f32;
-        let [x, y] = ray.at(along, 0.0).map(f32::round);
-        if !(x >= 0.0 && y >= 0.0 && x < mask.width() as f32 && y < mask.height() as f32) {
-            return Free::RunsInto(along);
+        match middle.object(step) {
+            None => return Free::RunsInto(step as f32),
+            Some(false) => return Free::Ends(step as f32 - 0.5),
+            Some(true) => {}
         }
-        if !mask.get(x as i32, y as i32) {
-            return Free::Ends;
-        }
-        for side in [-aside, aside] {
-            let [x, y] = ray.at(along, side).map(f32::round);
-            beside += mask.get(x as i32, y as i32) as i32;
-        }
+        beside += (left.object(step) == Some(true)) as i32 + (right.object(step) == Some(true)) as i32;
         if beside > 2 {
-            return Free::RunsInto(along);
+            return Free::RunsInto(step as f32);
         }
     }
     Free::RunsInto(reach as f32)
 }
 
-/// Distance from the ray's beginning to the end of the part, and whether it was seen to end there.
-fn distance_to_end(mask: &BitImage, luma: Option<&LumaView>, ray: Ray, half: f32) -> (f32, bool) {
+/// Distance from the ray's beginning to the end of the part, whose mask ends at about `border`, and whether it was
+/// seen to end there.
+fn distance_to_end(
+    mask: &BitImage,
+    luma: Option<&LumaView>,
+    ray: Ray,
+    half: f32,
+    border: f32,
+) -> (f32, bool) {
+    let back = (border - half - 1.0).max(0.0);
     let (mut sum, mut count) = (0.0, 0.0);
     for offset in [0.0, -RAY_OFFSET, RAY_OFFSET] {
         let ray = Ray { from: ray.at(0.0, offset * half), ..ray };
-        let Some(border) = border_in_mask(mask, ray, EATEN_PX_MAX + 2.0) else { continue };
+        let Some(border) = border_in_mask(mask, ray, back, 2.0 * half + 8.0) else { continue };
         if let Some(luma) = luma {
             if offset == 0.0 {
                 match fading(luma, ray, border, half) {
@@ -135,26 +140,26 @@ fn distance_to_end(mask: &BitImage, luma: Option<&LumaView>, ray: Ray, half: f32
                     Fading::GoesOn => return (border, false),
                 }
             }
-            sum += border_in_grey(luma, ray, border, half);
+            sum += border_in_grey::<3>(luma, ray, border);
         } else {
             sum += border;
         }
         count += 1.0;
     }
-    if count > 0.0 { (sum / count, true) } else { (half, false) }
+    if count > 0.0 { (sum / count, true) } else { (border, true) }
 }
 
 /// How far to the right of the ray the middle of the part is: mean over sections a little before its end. 0 where
 /// none is as wide as the part.
 fn middle_aside(mask: &BitImage, luma: Option<&LumaView>, ray: Ray, distance: f32, half: f32) -> f32 {
     let (mut sum, mut count) = (0.0, 0.0);
-    for depth in [1.0, 1.6, 2.2, 2.8] {
+    for depth in [1.0, 1.8, 2.6] {
         let from = ray.at(distance - depth * half, 0.0);
         let [dx, dy] = ray.direction;
         let sides = [[-dy, dx], [dy, -dx]].map(|direction| {
             let aside = Ray { from, direction };
-            let border = border_in_mask(mask, aside, 1.5 * half + 2.0)?;
-            Some(luma.map_or(border, |luma| border_in_grey(luma, aside, border, half.min(2.0))))
+            let border = border_in_mask(mask, aside, (half - 2.0).max(0.0), 1.5 * half + 2.0)?;
+            Some(luma.map_or(border, |luma| border_in_grey::<2>(luma, aside, border)))
         });
         let [Some(right), Some(left)] = sides else { continue };
         if (0.6..1.5).contains(&((left + right) / (2.0 * half))) {
@@ -165,45 +170,61 @@ fn middle_aside(mask: &BitImage, luma: Option<&LumaView>, ray: Ray, distance: f3
     if count > 0.0 { sum / count } else { 0.0 }
 }
 
-/// Distance to the mask's border; `None` where it does not end within `reach_px` or the picture ends first.
-fn border_in_mask(mask: &BitImage, ray: Ray, reach_px: f32) -> Option<f32> {
-    const STEP: f32 = 0.5;
-    let mut distance = 0.0;
-    while distance <= reach_px {
-        let [x, y] = ray.at(distance, 0.0).map(f32::round);
-        if !(x >= 0.0 && y >= 0.0 && x < mask.width() as f32 && y < mask.height() as f32) {
-            return None;
-        }
-        if !mask.get(x as i32, y as i32) {
-            return Some(distance - STEP / 2.0);
-        }
-        distance += STEP;
-    }
-    None
+/// Pixels of a mask along a ray, at equal steps.
+#[derive(Clone, Copy)]
+struct Places<'a> {
+    mask: &'a BitImage,
+    /// Pixel coordinates and steps with 16 fractional bits, half a pixel added.
+    at: [i64; 2],
+    step: [i64; 2],
 }
 
-/// The mask's border refined: where grey values cross half way between the part and what lies behind its end.
-fn border_in_grey(luma: &LumaView, ray: Ray, border: f32, half: f32) -> f32 {
-    let at = |distance: f32| {
-        let [x, y] = ray.at(distance, 0.0);
-        luma.sample(x, y)
-    };
-    let depth = half.clamp(2.0, 4.0);
-    let inside = (at(border - depth) + at(border - depth - 1.0)) / 2.0;
-    let outside = (at(border + 2.5) + at(border + 3.5)) / 2.0;
+impl<'a> Places<'a> {
+    fn new(mask: &'a BitImage, ray: Ray, step_px: f32) -> Self {
+        let fixed = |v: f32| (v * 65536.0) as i64;
+        Self { mask, at: ray.from.map(|v| fixed(v + 0.5)), step: ray.direction.map(|v| fixed(v * step_px)) }
+    }
+
+    /// The pixel at a step; `None` outside the picture.
+    #[inline]
+    fn object(&self, step: i32) -> Option<bool> {
+        let [x, y] = [0, 1].map(|i| (self.at[i] + self.step[i] * step as i64) >> 16);
+        let inside = (x as u64) < self.mask.width() as u64 && (y as u64) < self.mask.height() as u64;
+        inside.then(|| self.mask.get(x as i32, y as i32))
+    }
+}
+
+/// Distance to the mask's border, looked for from `begin_px` on; `None` where it does not end within `reach_px` or
+/// the picture ends first. Where the mask has ended before, the way back to it.
+fn border_in_mask(mask: &BitImage, ray: Ray, begin_px: f32, reach_px: f32) -> Option<f32> {
+    const STEP: f32 = 0.5;
+    let places = Places::new(mask, ray, STEP);
+    let begin = (begin_px / STEP) as i32;
+    if places.object(begin)? {
+        let border = (begin + 1..=(reach_px / STEP) as i32).find(|&i| places.object(i) != Some(true))?;
+        places.object(border).map(|_| (border as f32 - 0.5) * STEP)
+    } else {
+        (0..begin).rev().find(|&i| places.object(i) == Some(true)).map(|i| (i as f32 + 0.5) * STEP)
+    }
+}
+
+/// The mask's border refined: where grey values cross half way between the part, `DEPTH` pixels and one more before
+/// the border, and what lies two and three pixels behind it.
+fn border_in_grey<const DEPTH: usize>(luma: &LumaView, ray: Ray, border: f32) -> f32 {
+    let zero = DEPTH + 1;
+    let grey: [f32; 8] = luma.profile(ray.at(border - zero as f32, 0.0), ray.direction);
+    let inside = (grey[0] + grey[1]) / 2.0;
+    let outside = (grey[zero + 2] + grey[zero + 3]) / 2.0;
     if (inside - outside).abs() < CONTRAST_MIN {
         return border;
     }
     let level = (inside + outside) / 2.0;
-    let share = |v: f32| (v - level) / (inside - level);
-    let (mut before, mut distance) = (share(at(border - SHIFT_MAX_PX)), border - SHIFT_MAX_PX);
-    while distance < border + SHIFT_MAX_PX {
-        let now = share(at(distance + 0.5));
-        if before > 0.0 && now <= 0.0 {
-            return distance + 0.5 * before / (before - now);
+    let above = |i: usize| (grey[i] - level) * (inside - outside).signum();
+    for i in zero - SHIFT_MAX_PX..zero + SHIFT_MAX_PX {
+        let (before, after) = (above(i), above(i + 1));
+        if before > 0.0 && after <= 0.0 {
+            return border + i as f32 - zero as f32 + before / (before - after);
         }
-        before = now;
-        distance += 0.5;
     }
     border
 }
@@ -221,10 +242,8 @@ enum Fading {
 fn fading(luma: &LumaView, ray: Ray, border: f32, half: f32) -> Fading {
     let aside = 2.2 * half + 2.0;
     let signal = |along: f32| {
-        let [here, left, right] = [0.0, -aside, aside].map(|aside| {
-            let [x, y] = ray.at(along, aside);
-            luma.sample(x, y)
-        });
+        let [dx, dy] = ray.direction;
+        let [left, here, right] = luma.profile(ray.at(along, -aside), [-dy * aside, dx * aside]);
         here - left.max(right)
     };
     let (inside, ahead) = (signal(border - 3.0), signal(border + 3.0));

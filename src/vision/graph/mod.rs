@@ -278,7 +278,8 @@ fn length(chain: &[[u16; 2]], first: Option<[f32; 2]>, last: Option<[f32; 2]>, c
     let begin = before;
     let mut sum = 0.0;
     let mut go = |to: [f32; 2]| {
-        sum += (to[0] - before[0]).hypot(to[1] - before[1]);
+        let (dx, dy) = (to[0] - before[0], to[1] - before[1]);
+        sum += (dx * dx + dy * dy).sqrt();
         before = to;
     };
     if chain.len() > STEP {

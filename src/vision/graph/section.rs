@@ -100,7 +100,7 @@ fn median_thickness(mask: &BitImage, chain: &[[u16; 2]]) -> Option<f32> {
         let reach = 6.min(at).min(chain.len() - 1 - at).max(1);
         let (a, b) = (chain[at.saturating_sub(reach)], chain[(at + reach).min(chain.len() - 1)]);
         let (dx, dy) = (b[0] as f32 - a[0] as f32, b[1] as f32 - a[1] as f32);
-        let length = dx.hypot(dy).max(1.0);
+        let length = (dx * dx + dy * dy).sqrt().max(1.0);
         *section = if dx.abs() >= dy.abs() {
             run_in_column(mask, chain[at]) as f32 * dx.abs() / length
         } else {
