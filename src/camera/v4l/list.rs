@@ -8,8 +8,9 @@ use serde::Serialize;
 use super::device::{ControlInfo, Device, Identity};
 use super::format::{self, OfferedFormat};
 
-/// Where udev puts links that stay the same when numbers change, best first.
-const STABLE: [&str; 2] = ["/dev/v4l/by-path", "/dev/v4l/by-id"];
+/// Where udev puts links that stay the same when numbers change, best first: those of the project's own rule, then
+/// the port, then the serial number, which two webcams of one make may share.
+const STABLE: [&str; 3] = ["/dev/pickcell", "/dev/v4l/by-path", "/dev/v4l/by-id"];
 
 /// A camera that is plugged in.
 #[derive(Clone, Debug, PartialEq, Serialize)]

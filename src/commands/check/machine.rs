@@ -2,13 +2,17 @@
 
 use std::io;
 use std::path::Path;
+use std::time::Duration;
 
-use firmware_bridge::config::LinkName;
+use firmware_bridge::config::{LinkName, Settings};
+use firmware_bridge::link::{SharedError, SharedMemoryLink};
+use firmware_bridge::message::Report;
 use rustix::fs::{Access, Mode, OFlags};
 use rustix::process::{Resource, getrlimit};
 
 use super::Findings;
 use crate::config::{Cell, Scheduling};
+use crate::time::Timestamp;
 
 /// Memory that a cell locks at most, bytes: pictures, stages and the program itself.
 const LOCKED_BYTES: u64 = 512 << 20;
@@ -26,7 +30,7 @@ pub(super) fn check(cell: &Cell, findings: &mut Findings) {
             Some(port) => serial_port(port, findings),
             None => findings.wrong("arm", "link = \"serial\" needs arm.port"),
         },
-        LinkName::SharedMemory => shared_memory(&cell.arm_side.arm.service, findings),
+        LinkName::SharedMemory => shared_memory(&cell.arm_side, findings),
     }
     if let Some(place) = &cell.place {
         let folder = place.state.parent().filter(|folder| !folder.as_os_str().is_empty());
@@ -130,21 +134,31 @@ fn serial_port(port: &Path, findings: &mut Findings) {
     }
 }
 
-fn shared_memory(service: &str, findings: &mut Findings) {
-    // iceoryx2 keeps its data segments in /dev/shm and its locks in the temporary directory.
-    let rights = Access::READ_OK | Access::WRITE_OK | Access::EXEC_OK;
-    for folder in ["/dev/shm", "/tmp"] {
-        if let Err(error) = rustix::fs::access(folder, rights) {
-            return findings.error(
-                "shared memory",
-                format!("{folder} cannot be used: {}", io::Error::from(error)),
-                "mount it with write access for the cell's user; a service must not have PrivateTmp=yes",
-            );
+/// Opens the driver's end, as the cell would, and listens whether a bridge answers.
+fn shared_memory(settings: &Settings, findings: &mut Findings) {
+    let subject = "shared memory";
+    let service = &settings.arm.service;
+    let mut link = match SharedMemoryLink::open(settings, std::process::id()) {
+        Ok(link) => link,
+        Err(error @ SharedError::Taken { .. }) => return findings.wrong(subject, error.to_string()),
+        Err(error) => {
+            // The message carries its remedy behind the colon.
+            let text = error.to_string();
+            let (what, remedy) = text.rsplit_once(": ").unwrap_or((&text, "try again"));
+            return findings.error(subject, what, remedy);
         }
+    };
+    let end = Timestamp::now().after(Duration::from_millis(u64::from(2 * settings.arm.heartbeat_timeout_ms)));
+    while Timestamp::now() < end {
+        if let Some(Report::Connected { .. }) = link.poll(Timestamp::now().0) {
+            return findings.ok(subject, format!("a bridge answers on service {service:?}"));
+        }
+        std::thread::sleep(Duration::from_millis(5));
     }
-    findings.ok(
-        "shared memory",
-        format!("service {service:?}; `firmware-bridge run` of the same user takes the targets"),
+    findings.warning(
+        subject,
+        format!("service {service:?} can be used, no bridge answers"),
+        "start `firmware-bridge run` as the same user; a service must not have PrivateTmp=yes",
     );
 }
 
