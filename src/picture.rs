@@ -1,11 +1,11 @@
 //! One picture through the stages of vision: decoded, binarized, thinned, read as a graph.
 
-use crate::frame::{Frame, PixelFormat};
+use crate::frame::{Frame, LumaView, PixelFormat};
 use crate::matching::nodes::{ImageNode, ImageNodes};
 use crate::recognize::{Params, Refusal, Side, StageTimes};
 use crate::rig::CameraModel;
 use crate::time::Timestamp;
-use crate::vision::binarize::{self, Binarize};
+use crate::vision::binarize::{self, Binarize, ColourRange};
 use crate::vision::bits::BitImage;
 use crate::vision::decode::{Decoder, Output};
 use crate::vision::graph::{self, Graph, Graphs};
@@ -60,6 +60,11 @@ impl Picture {
         let raw = self.decoder.run(frame).map_err(|_| Refusal::Damaged { side })?;
         let decoded = Timestamp::now();
         self.binarize.run(raw, &mut self.mask).map_err(|reason| Refusal::Binarize { side, reason })?;
+        let range = self.binarize.params();
+        let is_light_on_dark = !range.inverted && range.colour == ColourRange::Auto;
+        if is_light_on_dark && self.mask.words().iter().all(|&word| word == 0) && is_white(raw) {
+            return Err(Refusal::White { side });
+        }
         let binary = Timestamp::now();
         self.thin.run(&self.mask, &mut self.skeleton);
         let thinned = Timestamp::now();
@@ -100,4 +105,19 @@ impl Picture {
     pub(crate) fn raw<'a>(&'a self, frame: &'a Frame) -> &'a Frame {
         if frame.format == PixelFormat::Mjpeg { self.decoder.raw() } else { frame }
     }
+}
+
+/// Luma from which a camera is taken to be saturated.
+const WHITE_LUMA_MIN: u8 = 250;
+
+/// Whether 99 of 100 pixels are saturated; every fourth pixel of every fourth row is looked at.
+fn is_white(raw: &Frame) -> bool {
+    let Some(view) = LumaView::new(raw) else { return false };
+    let places = (0..raw.height).step_by(4).flat_map(|y| (0..raw.width).step_by(4).map(move |x| (x, y)));
+    let (mut white, mut all) = (0usize, 0usize);
+    for (x, y) in places {
+        all += 1;
+        white += usize::from(view.at(x, y) >= WHITE_LUMA_MIN);
+    }
+    100 * white >= 99 * all
 }

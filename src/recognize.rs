@@ -103,6 +103,14 @@ pub enum Refusal {
         /// Why.
         reason: binarize::Refusal,
     },
+    /// The picture is white all over, so that no threshold can be found: not an empty bin, a blinded camera.
+    #[error(
+        "{side} picture is white all over: less light, a shorter exposure, or a colour range in place of auto"
+    )]
+    White {
+        /// `left` or `right`.
+        side: Side,
+    },
     /// The picture shows too much.
     #[error("{side} picture: {reason}")]
     Graph {

@@ -307,6 +307,13 @@ fn bad_pictures_are_refused_and_nothing_is_written() {
         assert!(message.contains(wanted), "{message}\nwanted: {wanted}");
         assert!(!out.exists(), "{path}");
     }
+    let white = folder.path().join("white.png");
+    image::GrayImage::from_pixel(640, 480, image::Luma([255])).save(&white).unwrap();
+    let white = white.to_str().unwrap();
+    let message = refusal(&recognize(&["--left", LEFT, "--right", white]), 2);
+    assert!(message.contains("right picture is white all over: less light"), "{message}");
+    let message = refusal(&recognize(&["--left", white, "--right", white, "--grey-min", "100"]), 2);
+    assert!(message.contains("narrow the colour range or the region"), "{message}");
     let message = refusal(&recognize(&["--left", LEFT, "--right", "/dev/zero"]), 2);
     assert!(message.contains("/dev/zero: is no regular file"), "{message}");
 }
