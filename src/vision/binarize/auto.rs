@@ -1,6 +1,6 @@
 //! A threshold found in the picture, local where the light has a gradient.
 //!
-//! Luma is sampled on a grid of about 160 columns. The grey opening of the samples (erosion, then dilation by a
+//! Luma is sampled on a grid of at most 80 columns. The grey opening of the samples (erosion, then dilation by a
 //! square; for dark parts the closing) is the background without what is thinner than the square: it follows
 //! gradients, glare and the shadows of the bin's walls. What counts is then the contrast `(luma + 16) /
 //! (background + 16)`, which a change of the light leaves alone; the 16 keeps noise in the dark small.
@@ -8,16 +8,17 @@
 //! From the histogram of the contrasts inside the region come the spread of the background (median and 16th
 //! percentile) and the contrast of the parts (its upper end). Without clearly brighter samples nothing is object.
 //! Else the threshold lies a third of the way from background to parts, and a quarter of the way near samples that
-//! are beyond half way: so dim ends of a part are kept while the bin's rim, dim all along, is not.
+//! are beyond half way: so dim ends of a part are kept while the bin's rim, dim all along, is not. Between the
+//! samples thresholds are interpolated.
 
 use super::grid::{self, MARGIN};
-use super::kernel::{self, Luma};
-use crate::vision::{bits::BitImage, level::Level};
+use crate::vision::bits::BitImage;
+use std::ops::Range;
 
 /// Greatest number of columns of the grid.
-const COLUMNS_MAX: usize = 160;
+const COLUMNS_MAX: usize = 80;
 /// Greatest number of rows of the grid.
-const ROWS_MAX: usize = 120;
+const ROWS_MAX: usize = 60;
 /// Added to luma and background before they are compared, in grey levels: noise and stray light of a webcam.
 const OFFSET: u16 = 16;
 /// Contrasts are counted in this many steps to 1.
@@ -32,7 +33,7 @@ const SIGMAS: f32 = 6.0;
 const SIGMA_MIN: f32 = 0.03;
 /// Of the way from background to parts: threshold near strong samples, elsewhere, and what is strong.
 const NEAR: f32 = 0.25;
-const ELSEWHERE: f32 = 0.34;
+const ELSEWHERE: f32 = 1.0 / 3.0;
 const STRONG: f32 = 0.5;
 
 /// Memory for finding thresholds.
@@ -47,21 +48,26 @@ pub(super) struct Auto {
 
 /// What is known of every sample. All arrays have `pitch` columns, and a margin that the sliding windows need.
 #[derive(Clone, Debug)]
-pub(super) struct Grid {
-    /// Pixels from one sample to the next.
-    pub(super) step: usize,
-    pub(super) columns: usize,
-    pub(super) rows: usize,
-    pub(super) pitch: usize,
+struct Grid {
+    /// Pixels from one sample to the next; even.
+    step: usize,
+    columns: usize,
+    rows: usize,
+    pitch: usize,
     /// Luma, later thresholds.
     level: Vec<u8>,
     background: Vec<u8>,
-    /// Contrasts; 0 outside the region.
-    contrast: Vec<u8>,
-    /// 255 inside the region, 0 outside.
-    region: Vec<u8>,
-    inside: usize,
     strong: Vec<u8>,
+    /// Contrasts without margins; 0 outside the region.
+    contrast: Vec<u8>,
+    /// 255 inside the region, 0 outside; as `contrast`.
+    region: Vec<u8>,
+    /// Samples inside the region.
+    inside: usize,
+    /// Thresholds between two rows, times 4, the outermost ones twice.
+    between: Vec<u16>,
+    /// Thresholds of pixels left and right of every sample.
+    halves: Vec<u8>,
 }
 
 /// Where the thresholds are, as contrasts.
@@ -79,46 +85,52 @@ impl Auto {
         Self { grid: Grid::new(width, height, region), row: vec![0; padded], end: vec![255; padded] }
     }
 
-    /// Brighter (or, where `dark`, darker) than the background around to `bits`.
-    pub(super) fn run(&mut self, level: Level, luma: Luma<'_>, dark: bool, bits: &mut BitImage) {
-        for row in 0..self.grid.rows {
-            kernel::luma_row(level, luma, row * self.grid.step + self.grid.step / 2, &mut self.row);
-            self.grid.sample(row, &self.row);
-        }
-        if !kernel::thresholds(level, &mut self.grid, dark) {
-            bits.clear();
-            return;
-        }
-        self.end.fill(if dark { 0 } else { 255 });
-        for row in 0..self.grid.rows {
-            let first = row * self.grid.step;
-            let last = if row + 1 == self.grid.rows { bits.height() } else { first + self.grid.step };
-            self.grid.spread(row, &mut self.row);
-            let (lo, hi) = if dark { (&self.end, &self.row) } else { (&self.row, &self.end) };
-            kernel::luma_between(level, luma, first..last, lo, hi, bits);
-        }
+}
+
+/// Brighter (or, where `dark`, darker) than the background around to `bits`. `luma_row` gives the luma of a row,
+/// `luma_between` tests rows against the two ends of a range.
+#[inline(always)]
+pub(super) fn run(
+    auto: &mut Auto,
+    dark: bool,
+    bits: &mut BitImage,
+    luma_row: impl Fn(usize, &mut [u8]),
+    luma_between: impl Fn(Range<usize>, &[u8], &[u8], &mut BitImage),
+) {
+    let Auto { grid, row, end } = auto;
+    for y in 0..grid.rows {
+        luma_row(y * grid.step + grid.step / 2, row);
+        grid.sample(y, row);
+    }
+    if !(if dark { thresholds_for::<true>(grid) } else { thresholds_for::<false>(grid) }) {
+        bits.clear();
+        return;
+    }
+    end.fill(if dark { 0 } else { 255 });
+    let half = grid.step / 2;
+    for band in 0..2 * grid.rows {
+        let last = if band + 1 == 2 * grid.rows { bits.height() } else { (band + 1) * half };
+        grid.spread(band, row);
+        let (lo, hi) = if dark { (&*end, &*row) } else { (&*row, &*end) };
+        luma_between(band * half..last, lo, hi, bits);
     }
 }
 
 impl Grid {
     fn new(width: usize, height: usize, region: Option<&BitImage>) -> Self {
-        let step = width.div_ceil(COLUMNS_MAX).max(height.div_ceil(ROWS_MAX)).max(1);
-        let samples = |pixels: usize| (pixels - 1 - step / 2) / step + 1;
-        let (columns, rows) = (samples(width.max(step)), samples(height.max(step)));
+        let step = width.div_ceil(COLUMNS_MAX).max(height.div_ceil(ROWS_MAX)).next_multiple_of(2);
+        // A picture smaller than a step has one sample, of its border.
+        let samples = |pixels: usize| (pixels.max(step) - 1 - step / 2) / step + 1;
+        let (columns, rows) = (samples(width), samples(height));
         let pitch = columns + 2 * MARGIN;
-        let size = (pitch * (rows + 2 * MARGIN)).next_multiple_of(64) + 64;
-        let mut inside_of = vec![0; size];
-        let mut inside = 0;
-        for y in (0..rows).step_by(2) {
-            for x in 0..columns {
-                let (px, py) = (x * step + step / 2, y * step + step / 2);
-                if region.is_none_or(|r| r.get(px as i32, py as i32)) {
-                    inside_of[y * pitch + x] = 255;
-                    inside += 1;
-                }
+        let mut region_of_samples = vec![0; columns * rows];
+        for (i, sample) in region_of_samples.iter_mut().enumerate() {
+            let (x, y) = (i % columns * step + step / 2, i / columns * step + step / 2);
+            if region.is_none_or(|r| r.get(x as i32, y as i32)) {
+                *sample = 255;
             }
         }
-        let zeros = vec![0; size];
+        let zeros = vec![0; (pitch * (rows + 2 * MARGIN)).next_multiple_of(64) + 64];
         Self {
             step,
             columns,
@@ -126,19 +138,22 @@ impl Grid {
             pitch,
             level: zeros.clone(),
             background: zeros.clone(),
-            contrast: zeros.clone(),
-            region: inside_of,
-            inside,
             strong: zeros,
+            contrast: vec![0; columns * rows],
+            inside: region_of_samples.iter().filter(|&&sample| sample != 0).count(),
+            region: region_of_samples,
+            between: vec![0; columns + 2],
+            halves: vec![0; 2 * columns],
         }
     }
 
     /// Takes every `step`th value of a row of luma.
+    #[inline(always)]
     fn sample(&mut self, row: usize, luma: &[u8]) {
         let out = &mut self.level[row * self.pitch..][..self.columns];
-        if self.step == 4 {
-            for (out, four) in out.iter_mut().zip(luma.as_chunks::<4>().0) {
-                *out = four[2];
+        if self.step == 8 {
+            for (out, eight) in out.iter_mut().zip(luma.as_chunks::<8>().0) {
+                *out = eight[4];
             }
         } else {
             for (out, &v) in out.iter_mut().zip(luma[self.step / 2..].iter().step_by(self.step)) {
@@ -147,31 +162,39 @@ impl Grid {
         }
     }
 
-    /// Writes the threshold of every pixel of a row of samples.
-    fn spread(&self, row: usize, out: &mut [u8]) {
-        let thresholds = &self.level[row * self.pitch..][..self.columns];
-        if self.step == 4 {
-            for (four, &t) in out.as_chunks_mut::<4>().0.iter_mut().zip(thresholds) {
-                *four = [t; 4];
+    /// Writes the threshold of every pixel of a band of rows half a step high. A band lies a quarter of a step
+    /// from the samples' row, and so do the columns that have one threshold.
+    #[inline(always)]
+    fn spread(&mut self, band: usize, out: &mut [u8]) {
+        let near = band / 2;
+        let far = if band % 2 == 0 { near.saturating_sub(1) } else { (near + 1).min(self.rows - 1) };
+        let [near, far] = [near, far].map(|row| &self.level[row * self.pitch..][..self.columns]);
+        for (out, (&near, &far)) in self.between[1..].iter_mut().zip(near.iter().zip(far)) {
+            *out = 3 * u16::from(near) + u16::from(far);
+        }
+        self.between[0] = self.between[1];
+        self.between[self.columns + 1] = self.between[self.columns];
+        let columns = self.columns;
+        let around = self.between[..columns].iter().zip(&self.between[1..=columns]).zip(&self.between[2..]);
+        for (halves, ((&left, &here), &right)) in self.halves.as_chunks_mut::<2>().0.iter_mut().zip(around) {
+            *halves = [((3 * here + left + 8) >> 4) as u8, ((3 * here + right + 8) >> 4) as u8];
+        }
+        if self.step == 8 {
+            for (pixels, &threshold) in out.as_chunks_mut::<4>().0.iter_mut().zip(&self.halves) {
+                *pixels = [threshold; 4];
             }
         } else {
-            for (pixels, &t) in out.chunks_mut(self.step).zip(thresholds) {
-                pixels.fill(t);
+            for (pixels, &threshold) in out.chunks_mut(self.step / 2).zip(&self.halves) {
+                pixels.fill(threshold);
             }
         }
-        let last = thresholds[self.columns - 1];
-        if let Some(rest) = out.get_mut(self.columns * self.step..) {
-            rest.fill(last);
+        if let Some(rest) = out.get_mut(columns * self.step..) {
+            rest.fill(self.halves[2 * columns - 1]);
         }
     }
 }
 
 /// Luma to thresholds, both in `level`; whether there is anything to be found.
-#[inline(always)]
-pub(super) fn thresholds(grid: &mut Grid, dark: bool) -> bool {
-    if dark { thresholds_for::<true>(grid) } else { thresholds_for::<false>(grid) }
-}
-
 #[inline(always)]
 fn thresholds_for<const DARK: bool>(grid: &mut Grid) -> bool {
     let (rows, columns, pitch) = (grid.rows, grid.columns, grid.pitch);
@@ -186,20 +209,27 @@ fn thresholds_for<const DARK: bool>(grid: &mut Grid) -> bool {
     true
 }
 
-/// Contrast of every sample of every second row.
+/// Contrast of every sample.
 #[inline(always)]
 fn contrasts<const DARK: bool>(grid: &mut Grid) {
-    for y in (0..grid.rows).step_by(2) {
+    for y in 0..grid.rows {
         let at = y * grid.pitch..y * grid.pitch + grid.columns;
-        let samples =
-            grid.level[at.clone()].iter().zip(&grid.background[at.clone()]).zip(&grid.region[at.clone()]);
-        for (out, ((&level, &background), &inside)) in grid.contrast[at].iter_mut().zip(samples) {
+        let dense = y * grid.columns..(y + 1) * grid.columns;
+        let samples = grid.level[at.clone()].iter().zip(&grid.background[at]).zip(&grid.region[dense.clone()]);
+        for (out, ((&level, &background), &inside)) in grid.contrast[dense].iter_mut().zip(samples) {
             let level = f32::from(level) + f32::from(OFFSET);
             let background = f32::from(background) + f32::from(OFFSET);
             let contrast = if DARK { background / level } else { level / background };
-            *out = (contrast * CONTRAST_STEPS).min(255.0) as i32 as u8 & inside;
+            *out = rounded((contrast * CONTRAST_STEPS).min(255.0)) & inside;
         }
     }
+}
+
+/// A number from 0 to 255 to the nearest whole one. Beside 2^23 the last bit of an `f32` is worth 1; a cast would
+/// keep the compiler from taking many at once.
+#[inline(always)]
+fn rounded(x: f32) -> u8 {
+    (x + 8_388_608.0).to_bits() as u8
 }
 
 impl Grid {

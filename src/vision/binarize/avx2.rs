@@ -1,17 +1,14 @@
 //! Pixels to bits, 32 bytes an instruction. The safe twin is [`super::plain`].
 //!
-//! All functions need AVX2 and BMI2; everything is read through array references, so the loads in [`load`] and
-//! [`load_half`] are the only unsafe code.
+//! All functions need AVX2 and BMI2; everything is read through array references, so [`load`], [`load_half`]
+//! and [`store`] are the only unsafe code.
 
-use super::auto::{self, Grid};
+use super::auto::{self, Auto};
 use super::kernel::{ByteBox, LevelBox, Luma, LumaLayout};
 use super::rows::{self, Rows};
 use crate::vision::bits::BitImage;
 use std::arch::x86_64::*;
 use std::ops::Range;
-
-/// Bytes that the luma of 64 three-byte pixels is read from; the last ones do not matter.
-const THREE: usize = 208;
 
 /// The 32 bytes from `at` on.
 #[target_feature(enable = "avx2,bmi2")]
@@ -35,6 +32,17 @@ fn load_half(bytes: &[u8], at: usize) -> __m128i {
     }
 }
 
+#[target_feature(enable = "avx2,bmi2")]
+#[inline]
+fn store(low: __m256i, high: __m256i, bytes: &mut [u8; 64]) {
+    let out = bytes.as_mut_ptr().cast::<__m256i>();
+    // SAFETY: the reference is to 64 writable bytes, two vectors, and the stores need no alignment.
+    unsafe {
+        _mm256_storeu_si256(out, low);
+        _mm256_storeu_si256(out.add(1), high);
+    }
+}
+
 /// Bits of the bytes from `lo` to `hi`, both included.
 #[target_feature(enable = "avx2,bmi2")]
 #[inline]
@@ -55,9 +63,12 @@ pub(super) fn byte_box(rows: Rows<'_>, range: &ByteBox, bits: &mut BitImage) {
     let (lo, hi) = ([0, 32, 64].map(|at| load(&range.lo, at)), [0, 32, 64].map(|at| load(&range.hi, at)));
     let ys = 0..bits.height();
     rows::each(rows, ys, bits, |_, bytes: &[u8; 192]| {
-        // The box repeats after 96 bytes, which are three registers.
-        let inside = |i: usize| between(load(bytes, 32 * i), lo[i % 3], hi[i % 3]);
-        let [a, b, c] = [0, 2, 4].map(|i| joined(inside(i), inside(i + 1)));
+        let mut inside = [0; 6];
+        for (i, inside) in inside.iter_mut().enumerate() {
+            // The box repeats after 96 bytes, which are three registers.
+            *inside = between(load(bytes, 32 * i), lo[i % 3], hi[i % 3]);
+        }
+        let [a, b, c] = [0, 2, 4].map(|i| joined(inside[i], inside[i + 1]));
         let a = a & (a >> 1 | b << 63) & (a >> 2 | b << 62);
         let b = b & (b >> 1 | c << 63) & (b >> 2 | c << 62);
         let c = c & (c >> 1) & (c >> 2);
@@ -156,7 +167,7 @@ pub(super) fn level_box(y: Rows<'_>, chroma: Option<Rows<'_>>, range: &LevelBox,
 /// Luma of 32 pixels of three bytes from `at` on; `red_first` for R, G, B, else B, G, R.
 #[target_feature(enable = "avx2,bmi2")]
 #[inline]
-fn luma_of_three(bytes: &[u8; THREE], at: usize, red_first: bool) -> __m256i {
+fn luma_of_three(bytes: &[u8; 192], at: usize, red_first: bool) -> __m256i {
     const __: i8 = -1;
     let twice = |x| _mm256_broadcastsi128_si256(x);
     let first_two = twice(_mm_setr_epi8(0, __, 1, __, 3, __, 4, __, 6, __, 7, __, 9, __, 10, __));
@@ -166,7 +177,13 @@ fn luma_of_three(bytes: &[u8; THREE], at: usize, red_first: bool) -> __m256i {
     let (first_two_weights, third_weight) = (_mm256_set1_epi32(w0 | g << 16), _mm256_set1_epi32(w2));
     let half = _mm256_set1_epi32(1 << 14);
     let eight = |i: usize| {
-        let pixels = _mm256_set_m128i(load_half(bytes, at + 24 * i + 12), load_half(bytes, at + 24 * i));
+        let (low, high) = (at + 24 * i, at + 24 * i + 12);
+        let high = match high + 16 > bytes.len() {
+            false => load_half(bytes, high),
+            // The last load must end with the block.
+            true => _mm_srli_si128::<4>(load_half(bytes, high - 4)),
+        };
+        let pixels = _mm256_set_m128i(high, load_half(bytes, low));
         let sum = _mm256_madd_epi16(_mm256_shuffle_epi8(pixels, first_two), first_two_weights);
         let sum = _mm256_add_epi32(sum, _mm256_madd_epi16(_mm256_shuffle_epi8(pixels, third), third_weight));
         _mm256_srli_epi32::<15>(_mm256_add_epi32(sum, half))
@@ -194,7 +211,7 @@ pub(super) fn luma_between(luma: Luma<'_>, ys: Range<usize>, lo: &[u8], hi: &[u8
         let half = |x, at| between(x, load(lo, at), load(hi, at));
         joined(half(low, 64 * s), half(high, 64 * s + 32))
     };
-    let three = |s, b: &[u8; THREE], red_first| {
+    let three = |s, b: &[u8; 192], red_first| {
         word(s, luma_of_three(b, 0, red_first), luma_of_three(b, 96, red_first))
     };
     match luma.layout {
@@ -209,34 +226,25 @@ pub(super) fn luma_between(luma: Luma<'_>, ys: Range<usize>, lo: &[u8], hi: &[u8
     }
 }
 
-/// See [`super::kernel::luma_row`].
+/// The luma of row `y`; `row` is whole blocks of 64.
 #[target_feature(enable = "avx2,bmi2")]
-pub(super) fn luma_row(luma: Luma<'_>, y: usize, row: &mut [u8]) {
-    let (mut three, mut two, mut one) = ([0; THREE], [0; 128], [0; 64]);
-    for (s, out) in row.as_chunks_mut::<64>().0.iter_mut().enumerate() {
-        let halves = match luma.layout {
-            LumaLayout::Rgb | LumaLayout::Bgr => {
-                let (bytes, red_first) = (luma.rows.at(y, s, &mut three), luma.layout == LumaLayout::Rgb);
-                [luma_of_three(bytes, 0, red_first), luma_of_three(bytes, 96, red_first)]
-            }
-            LumaLayout::Single => {
-                let bytes = luma.rows.at(y, s, &mut one);
-                [load(bytes, 0), load(bytes, 32)]
-            }
-            LumaLayout::Pair => {
-                let bytes = luma.rows.at(y, s, &mut two);
-                [luma_of_pairs(bytes, 0), luma_of_pairs(bytes, 64)]
-            }
-        };
-        for (out, half) in out.as_chunks_mut::<32>().0.iter_mut().zip(halves) {
-            // SAFETY: the reference is to 32 writable bytes, and the store needs no alignment.
-            unsafe { _mm256_storeu_si256(out.as_mut_ptr().cast(), half) };
+fn luma_row(luma: Luma<'_>, y: usize, row: &mut [u8]) {
+    let three = |b: &[u8; 192], out: &mut [u8; 64], red_first| {
+        store(luma_of_three(b, 0, red_first), luma_of_three(b, 96, red_first), out);
+    };
+    match luma.layout {
+        LumaLayout::Rgb => luma.rows.each_of_row(y, row, |b, out| three(b, out, true)),
+        LumaLayout::Bgr => luma.rows.each_of_row(y, row, |b, out| three(b, out, false)),
+        LumaLayout::Single => luma.rows.each_of_row(y, row, |b: &[u8; 64], out| *out = *b),
+        LumaLayout::Pair => {
+            luma.rows.each_of_row(y, row, |b, out| store(luma_of_pairs(b, 0), luma_of_pairs(b, 64), out));
         }
     }
 }
 
-/// See [`super::auto::thresholds`].
+/// See [`super::kernel::auto`].
 #[target_feature(enable = "avx2,bmi2")]
-pub(super) fn thresholds(grid: &mut Grid, dark: bool) -> bool {
-    auto::thresholds(grid, dark)
+pub(super) fn auto(auto: &mut Auto, luma: Luma<'_>, dark: bool, bits: &mut BitImage) {
+    let row_of = |y, row: &mut [u8]| luma_row(luma, y, row);
+    auto::run(auto, dark, bits, row_of, |ys, lo, hi, bits| luma_between(luma, ys, lo, hi, bits));
 }

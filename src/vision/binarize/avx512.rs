@@ -1,22 +1,82 @@
 //! Pixels to bits, 64 bytes an instruction. The safe twin is [`super::plain`].
 //!
-//! All functions need AVX-512 F, BW, VBMI and VNNI and BMI2; everything is read through array references, so the
-//! loads in [`load`] are the only unsafe code.
+//! All functions need AVX-512 F, BW, VBMI and VNNI and BMI2; everything is read through array references, so
+//! [`load`] and [`store`] are the only unsafe code.
 
-use super::auto::{self, Grid};
+use super::auto::{self, Auto};
 use super::kernel::{ByteBox, LevelBox, Luma, LumaLayout};
 use super::rows::{self, Rows};
 use crate::vision::bits::BitImage;
 use std::arch::x86_64::*;
 use std::ops::Range;
 
-/// Bytes that the luma of 64 three-byte pixels is read from; the last 16 do not matter.
-const THREE: usize = 208;
+/// Of 48 bytes, first, G, third, G of each of 16 pixels.
+const SPREAD: [u8; 64] = spread(0);
+/// The same of bytes 16 to 63.
+const SPREAD_LAST: [u8; 64] = spread(16);
+/// Every second of 128 bytes.
+const EVERY_SECOND: [u8; 64] = {
+    let mut index = [0; 64];
+    let mut k = 0;
+    while k < 64 {
+        index[k] = 2 * k as u8;
+        k += 1;
+    }
+    index
+};
+/// The bytes of two registers by turns: of their lower halves, of their upper ones.
+const INTERLEAVED: [[u8; 64]; 2] = {
+    let mut index = [[0; 64]; 2];
+    let mut k = 0;
+    while k < 64 {
+        index[0][k] = (k / 2) as u8 | ((k % 2) << 6) as u8;
+        index[1][k] = (32 + k / 2) as u8 | ((k % 2) << 6) as u8;
+        k += 1;
+    }
+    index
+};
+
+/// One of three interleaved channels of 192 bytes: first what the first two registers have of it, then those and
+/// what the third one has.
+const CHANNELS: [[[u8; 64]; 2]; 3] = {
+    let mut index = [[[0; 64]; 2]; 3];
+    let mut channel = 0;
+    while channel < 3 {
+        let mut k = 0;
+        while k < 64 {
+            let byte = 3 * k + channel;
+            let first = byte < 128;
+            index[channel][0][k] = if first { byte as u8 } else { 0 };
+            index[channel][1][k] = if first { k as u8 } else { 64 + (byte - 128) as u8 };
+            k += 1;
+        }
+        channel += 1;
+    }
+    index
+};
+
+const fn spread(first: u8) -> [u8; 64] {
+    let mut index = [0; 64];
+    let mut k = 0;
+    while k < 64 {
+        index[k] = first + (k / 4 * 3) as u8 + [0, 1, 2, 1][k % 4];
+        k += 1;
+    }
+    index
+}
 
 #[target_feature(enable = "avx512f,avx512bw,avx512vbmi,avx512vnni,bmi2")]
+#[inline]
 fn load(bytes: &[u8; 64]) -> __m512i {
     // SAFETY: the reference is to 64 readable bytes, and the load needs no alignment.
     unsafe { _mm512_loadu_si512(bytes.as_ptr().cast()) }
+}
+
+#[target_feature(enable = "avx512f,avx512bw,avx512vbmi,avx512vnni,bmi2")]
+#[inline]
+fn store(x: __m512i, bytes: &mut [u8; 64]) {
+    // SAFETY: the reference is to 64 writable bytes, and the store needs no alignment.
+    unsafe { _mm512_storeu_si512(bytes.as_mut_ptr().cast(), x) };
 }
 
 /// The 64 bytes from `at` on.
@@ -32,19 +92,20 @@ fn load_at(bytes: &[u8], at: usize) -> __m512i {
 /// See [`super::kernel::byte_box`].
 #[target_feature(enable = "avx512f,avx512bw,avx512vbmi,avx512vnni,bmi2")]
 pub(super) fn byte_box(rows: Rows<'_>, range: &ByteBox, bits: &mut BitImage) {
-    let lo = [0, 64, 128].map(|at| load_at(&range.lo, at));
-    let span = [0, 1, 2].map(|i| _mm512_sub_epi8(load_at(&range.hi, 64 * i), lo[i]));
+    let lo = [0, 1, 2].map(|c| _mm512_set1_epi8(range.lo[c] as i8));
+    let span = [0, 1, 2].map(|c| _mm512_set1_epi8((range.hi[c] - range.lo[c]) as i8));
     let ys = 0..bits.height();
     rows::each(rows, ys, bits, |_, bytes: &[u8; 192]| {
-        let inside =
-            |i: usize| _mm512_cmple_epu8_mask(_mm512_sub_epi8(load_at(bytes, 64 * i), lo[i]), span[i]);
-        let (a, b, c) = (inside(0), inside(1), inside(2));
-        let a = a & (a >> 1 | b << 63) & (a >> 2 | b << 62);
-        let b = b & (b >> 1 | c << 63) & (b >> 2 | c << 62);
-        let c = c & (c >> 1) & (c >> 2);
-        _pext_u64(a, 0x9249_2492_4924_9249)
-            | _pext_u64(b, 0x4924_9249_2492_4924) << 22
-            | _pext_u64(c, 0x2492_4924_9249_2492) << 43
+        let [a, b, c] = [0, 64, 128].map(|at| load_at(bytes, at));
+        let mut inside = u64::MAX;
+        for channel in 0..3 {
+            let [from_two, from_third] = &CHANNELS[channel];
+            let plane = _mm512_permutex2var_epi8(a, load(from_two), b);
+            let plane = _mm512_permutex2var_epi8(plane, load(from_third), c);
+            let above = _mm512_sub_epi8(plane, lo[channel]);
+            inside = _mm512_mask_cmple_epu8_mask(inside, above, span[channel]);
+        }
+        inside
     });
 }
 
@@ -113,8 +174,7 @@ pub(super) fn level_box(y: Rows<'_>, chroma: Option<Rows<'_>>, range: &LevelBox,
         None => rows::each(y, ys, bits, |_, b: &[u8; 128]| word(load_at(b, 0), load_at(b, 64))),
         Some(chroma) => {
             let widen = |i: usize, y: __m512i, c: __m512i| {
-                let index: [u8; 64] = std::array::from_fn(|k| (32 * i + k / 2) as u8 | (k as u8 % 2) << 6);
-                _mm512_permutex2var_epi8(y, load(&index), c)
+                _mm512_permutex2var_epi8(y, load(&INTERLEAVED[i]), c)
             };
             rows::each_with_chroma(y, chroma, bits, |y, c| {
                 let (y, c) = (load(y), load(c));
@@ -127,9 +187,8 @@ pub(super) fn level_box(y: Rows<'_>, chroma: Option<Rows<'_>>, range: &LevelBox,
 /// Luma of 64 pixels of three bytes; `red_first` for R, G, B, else B, G, R.
 #[target_feature(enable = "avx512f,avx512bw,avx512vbmi,avx512vnni,bmi2")]
 #[inline]
-fn luma_of_three(bytes: &[u8; THREE], red_first: bool) -> __m512i {
-    // Four bytes a pixel: first, G, third, G. A weight is 128 times its first part plus its second.
-    let spread: [u8; 64] = std::array::from_fn(|k| (k / 4 * 3 + [0, 1, 2, 1][k % 4]) as u8);
+fn luma_of_three(bytes: &[u8; 192], red_first: bool) -> __m512i {
+    // A weight is 128 times its first part plus its second.
     let weights = |r: i8, g: [i8; 2], b: i8| {
         let (first, third) = if red_first { (r, b) } else { (b, r) };
         _mm512_set1_epi32(i32::from_le_bytes([first as u8, g[0] as u8, third as u8, g[1] as u8]))
@@ -137,7 +196,9 @@ fn luma_of_three(bytes: &[u8; THREE], red_first: bool) -> __m512i {
     let (coarse, fine) = (weights(77, [75, 75], 29), weights(-58, [17, 18], 23));
     let half = _mm512_set1_epi32(128);
     let sixteen = |i: usize| {
-        let pixels = _mm512_permutexvar_epi8(load(&spread), load_at(bytes, 48 * i));
+        // The last load must end with the block.
+        let (at, spread) = if i < 3 { (48 * i, &SPREAD) } else { (128, &SPREAD_LAST) };
+        let pixels = _mm512_permutexvar_epi8(load(spread), load_at(bytes, at));
         let sum = _mm512_slli_epi32::<7>(_mm512_dpbusd_epi32(half, pixels, coarse));
         _mm512_srli_epi32::<15>(_mm512_dpbusd_epi32(sum, pixels, fine))
     };
@@ -152,8 +213,7 @@ fn luma_of_three(bytes: &[u8; THREE], red_first: bool) -> __m512i {
 #[target_feature(enable = "avx512f,avx512bw,avx512vbmi,avx512vnni,bmi2")]
 #[inline]
 fn luma_of_pairs(bytes: &[u8; 128]) -> __m512i {
-    let index: [u8; 64] = std::array::from_fn(|k| 2 * k as u8);
-    _mm512_permutex2var_epi8(load_at(bytes, 0), load(&index), load_at(bytes, 64))
+    _mm512_permutex2var_epi8(load_at(bytes, 0), load(&EVERY_SECOND), load_at(bytes, 64))
 }
 
 /// See [`super::kernel::luma_between`].
@@ -171,24 +231,20 @@ pub(super) fn luma_between(luma: Luma<'_>, ys: Range<usize>, lo: &[u8], hi: &[u8
     }
 }
 
-/// See [`super::kernel::luma_row`].
+/// The luma of row `y`; `row` is whole blocks of 64.
 #[target_feature(enable = "avx512f,avx512bw,avx512vbmi,avx512vnni,bmi2")]
-pub(super) fn luma_row(luma: Luma<'_>, y: usize, row: &mut [u8]) {
-    let (mut three, mut two, mut one) = ([0; THREE], [0; 128], [0; 64]);
-    for (s, out) in row.as_chunks_mut::<64>().0.iter_mut().enumerate() {
-        let luma = match luma.layout {
-            LumaLayout::Rgb => luma_of_three(luma.rows.at(y, s, &mut three), true),
-            LumaLayout::Bgr => luma_of_three(luma.rows.at(y, s, &mut three), false),
-            LumaLayout::Single => load(luma.rows.at(y, s, &mut one)),
-            LumaLayout::Pair => luma_of_pairs(luma.rows.at(y, s, &mut two)),
-        };
-        // SAFETY: the reference is to 64 writable bytes, and the store needs no alignment.
-        unsafe { _mm512_storeu_si512(out.as_mut_ptr().cast(), luma) };
+fn luma_row(luma: Luma<'_>, y: usize, row: &mut [u8]) {
+    match luma.layout {
+        LumaLayout::Rgb => luma.rows.each_of_row(y, row, |b, out| store(luma_of_three(b, true), out)),
+        LumaLayout::Bgr => luma.rows.each_of_row(y, row, |b, out| store(luma_of_three(b, false), out)),
+        LumaLayout::Single => luma.rows.each_of_row(y, row, |b: &[u8; 64], out| *out = *b),
+        LumaLayout::Pair => luma.rows.each_of_row(y, row, |b, out| store(luma_of_pairs(b), out)),
     }
 }
 
-/// See [`super::auto::thresholds`].
+/// See [`super::kernel::auto`].
 #[target_feature(enable = "avx512f,avx512bw,avx512vbmi,avx512vnni,bmi2")]
-pub(super) fn thresholds(grid: &mut Grid, dark: bool) -> bool {
-    auto::thresholds(grid, dark)
+pub(super) fn auto(auto: &mut Auto, luma: Luma<'_>, dark: bool, bits: &mut BitImage) {
+    let row_of = |y, row: &mut [u8]| luma_row(luma, y, row);
+    auto::run(auto, dark, bits, row_of, |ys, lo, hi, bits| luma_between(luma, ys, lo, hi, bits));
 }

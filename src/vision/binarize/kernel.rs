@@ -1,6 +1,6 @@
 //! The tests of pixels, independent of the instruction set, and the choice among the sets.
 
-use super::auto::Grid;
+use super::auto::Auto;
 use super::plain;
 use super::rows::Rows;
 #[cfg(target_arch = "x86_64")]
@@ -62,17 +62,6 @@ pub(super) enum LumaLayout {
     Pair,
 }
 
-impl LumaLayout {
-    /// Bytes of 64 pixels.
-    pub(super) fn block(self) -> usize {
-        match self {
-            LumaLayout::Rgb | LumaLayout::Bgr => 192,
-            LumaLayout::Single => 64,
-            LumaLayout::Pair => 128,
-        }
-    }
-}
-
 /// The luma of a picture, to be tested or read.
 #[derive(Clone, Copy)]
 pub(super) struct Luma<'a> {
@@ -123,12 +112,7 @@ pub(super) fn luma_between(
     dispatch!(level, luma_between(luma, ys, lo, hi, bits))
 }
 
-/// The luma of row `y`; `row` is whole blocks of 64.
-pub(super) fn luma_row(level: Level, luma: Luma<'_>, y: usize, row: &mut [u8]) {
-    dispatch!(level, luma_row(luma, y, row))
-}
-
-/// Turns the luma of the grid to thresholds; whether there is anything to be found.
-pub(super) fn thresholds(level: Level, grid: &mut Grid, dark: bool) -> bool {
-    dispatch!(level, thresholds(grid, dark))
+/// Object: brighter, or where `dark` darker, than the background around.
+pub(super) fn auto(level: Level, auto: &mut Auto, luma: Luma<'_>, dark: bool, bits: &mut BitImage) {
+    dispatch!(level, auto(auto, luma, dark, bits))
 }

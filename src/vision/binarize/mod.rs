@@ -164,7 +164,7 @@ impl Binarize {
         match self.params.colour {
             ColourRange::Rgb { min, max } => self.rgb_box(frame, ycbcr, min, max, bits),
             ColourRange::Grey { min, max } => self.grey_range(frame, ycbcr, min, max, bits),
-            ColourRange::Auto => self.auto.run(self.level, luma, self.params.inverted, bits),
+            ColourRange::Auto => kernel::auto(self.level, &mut self.auto, luma, self.params.inverted, bits),
         }
         self.invert_and_cut(bits);
         self.specks.drop_smaller(bits, self.params.speck_px_min);
@@ -288,11 +288,11 @@ fn luma_layout(format: PixelFormat) -> LumaLayout {
 
 /// The rows of pixels, or of Y.
 fn rows_of(frame: &Frame) -> Rows<'_> {
-    Rows { bytes: &frame.bytes, stride: frame.stride_bytes, block: luma_layout(frame.format).block() }
+    Rows { bytes: &frame.bytes, stride: frame.stride_bytes }
 }
 
 /// The rows of chroma where they lie apart.
 fn chroma_of(frame: &Frame) -> Option<Rows<'_>> {
     let bytes = frame.bytes.get(frame.height * frame.stride_bytes..).unwrap_or_default();
-    (frame.format == PixelFormat::Nv12).then_some(Rows { bytes, stride: frame.stride_bytes, block: 64 })
+    (frame.format == PixelFormat::Nv12).then_some(Rows { bytes, stride: frame.stride_bytes })
 }

@@ -1,6 +1,6 @@
 //! Pixels to bits on every machine: loops over bytes and 64-bit words, and the twin that the others must equal.
 
-use super::auto::{self, Grid};
+use super::auto::{self, Auto};
 use super::kernel::{ByteBox, LevelBox, Luma, LumaLayout};
 use super::rows::{self, Rows};
 use crate::frame::colour;
@@ -13,7 +13,7 @@ pub(super) fn byte_box(rows: Rows<'_>, range: &ByteBox, bits: &mut BitImage) {
     rows::each(rows, ys, bits, |_, bytes: &[u8; 192]| {
         let mut inside = [0; 192];
         for i in 0..192 {
-            inside[i] = u8::from(range.lo[i] <= bytes[i] && bytes[i] <= range.hi[i]);
+            inside[i] = u8::from((range.lo[i] <= bytes[i]) & (bytes[i] <= range.hi[i]));
         }
         let (words, _) = inside.as_chunks::<64>();
         all_three([gather(&words[0]), gather(&words[1]), gather(&words[2])])
@@ -49,23 +49,34 @@ fn third_bits(x: u64) -> u64 {
 
 /// See [`super::kernel::level_box`].
 pub(super) fn level_box(y: Rows<'_>, chroma: Option<Rows<'_>>, range: &LevelBox, bits: &mut BitImage) {
-    let word = |pixel: &dyn Fn(usize) -> [u8; 3]| {
+    let word = |y: &[u8; 64], u: &[u8; 64], v: &[u8; 64]| {
         let mut flags = [0; 64];
-        for (i, flag) in flags.iter_mut().enumerate() {
-            let [y, u, v] = pixel(i);
-            let l = range.ycbcr.levels(y, u, v);
-            *flag = u8::from((0..3).all(|c| range.lo[c] <= l[c] && l[c] <= range.hi[c]));
+        for i in 0..64 {
+            let l = range.ycbcr.levels(y[i], u[i], v[i]);
+            let inside = |c: usize| (range.lo[c] <= l[c]) & (l[c] <= range.hi[c]);
+            flags[i] = u8::from(inside(0) & inside(1) & inside(2));
         }
         gather(&flags)
     };
     let ys = 0..bits.height();
     match chroma {
         None => rows::each(y, ys, bits, |_, b: &[u8; 128]| {
-            word(&|i| [b[2 * i], b[2 * (i & !1) + 1], b[2 * (i | 1) + 1]])
+            let (mut y, mut u, mut v) = ([0; 64], [0; 64], [0; 64]);
+            for (i, four) in b.as_chunks::<4>().0.iter().enumerate() {
+                (y[2 * i], y[2 * i + 1]) = (four[0], four[2]);
+                (u[2 * i], u[2 * i + 1]) = (four[1], four[1]);
+                (v[2 * i], v[2 * i + 1]) = (four[3], four[3]);
+            }
+            word(&y, &u, &v)
         }),
-        Some(chroma) => {
-            rows::each_with_chroma(y, chroma, bits, |y, c| word(&|i| [y[i], c[i & !1], c[i | 1]]))
-        }
+        Some(chroma) => rows::each_with_chroma(y, chroma, bits, |y, c| {
+            let (mut u, mut v) = ([0; 64], [0; 64]);
+            for (i, two) in c.as_chunks::<2>().0.iter().enumerate() {
+                (u[2 * i], u[2 * i + 1]) = (two[0], two[0]);
+                (v[2 * i], v[2 * i + 1]) = (two[1], two[1]);
+            }
+            word(y, &u, &v)
+        }),
     }
 }
 
@@ -75,7 +86,7 @@ pub(super) fn luma_between(luma: Luma<'_>, ys: Range<usize>, lo: &[u8], hi: &[u8
         let (lo, hi) = (&lo[s * 64..s * 64 + 64], &hi[s * 64..s * 64 + 64]);
         let mut flags = [0; 64];
         for i in 0..64 {
-            flags[i] = u8::from(lo[i] <= luma[i] && luma[i] <= hi[i]);
+            flags[i] = u8::from((lo[i] <= luma[i]) & (luma[i] <= hi[i]));
         }
         gather(&flags)
     };
@@ -87,16 +98,13 @@ pub(super) fn luma_between(luma: Luma<'_>, ys: Range<usize>, lo: &[u8], hi: &[u8
     }
 }
 
-/// See [`super::kernel::luma_row`].
-pub(super) fn luma_row(luma: Luma<'_>, y: usize, row: &mut [u8]) {
-    let (mut three, mut two) = ([0; 192], [0; 128]);
-    for (s, out) in row.as_chunks_mut::<64>().0.iter_mut().enumerate() {
-        match luma.layout {
-            LumaLayout::Rgb => *out = luma_of_three::<0>(luma.rows.at(y, s, &mut three)),
-            LumaLayout::Bgr => *out = luma_of_three::<2>(luma.rows.at(y, s, &mut three)),
-            LumaLayout::Single => *out = *luma.rows.at(y, s, &mut [0; 64]),
-            LumaLayout::Pair => *out = luma_of_pairs(luma.rows.at(y, s, &mut two)),
-        }
+/// The luma of row `y`; `row` is whole blocks of 64.
+fn luma_row(luma: Luma<'_>, y: usize, row: &mut [u8]) {
+    match luma.layout {
+        LumaLayout::Rgb => luma.rows.each_of_row(y, row, |b, out| *out = luma_of_three::<0>(b)),
+        LumaLayout::Bgr => luma.rows.each_of_row(y, row, |b, out| *out = luma_of_three::<2>(b)),
+        LumaLayout::Single => luma.rows.each_of_row(y, row, |b, out| *out = *b),
+        LumaLayout::Pair => luma.rows.each_of_row(y, row, |b, out| *out = luma_of_pairs(b)),
     }
 }
 
@@ -112,9 +120,10 @@ fn luma_of_pairs(bytes: &[u8; 128]) -> [u8; 64] {
     std::array::from_fn(|i| bytes[2 * i])
 }
 
-/// See [`super::auto::thresholds`].
-pub(super) fn thresholds(grid: &mut Grid, dark: bool) -> bool {
-    auto::thresholds(grid, dark)
+/// See [`super::kernel::auto`].
+pub(super) fn auto(auto: &mut Auto, luma: Luma<'_>, dark: bool, bits: &mut BitImage) {
+    let row_of = |y, row: &mut [u8]| luma_row(luma, y, row);
+    auto::run(auto, dark, bits, row_of, |ys, lo, hi, bits| luma_between(luma, ys, lo, hi, bits));
 }
 
 #[cfg(test)]

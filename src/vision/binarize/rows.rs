@@ -4,47 +4,81 @@
 use crate::vision::bits::{BitImage, PAD_ROWS};
 use std::ops::Range;
 
-/// Rows of bytes, `block` bytes to 64 pixels.
+/// Rows of bytes, `stride` apart.
 #[derive(Clone, Copy)]
 pub(super) struct Rows<'a> {
     pub(super) bytes: &'a [u8],
     pub(super) stride: usize,
-    pub(super) block: usize,
 }
 
 impl<'a> Rows<'a> {
-    /// The `N` bytes from the beginning of block `s` of row `y`; `spare` is filled and lent where the picture ends
-    /// sooner.
+    /// Row `y` and what follows it, as blocks and the rest.
     #[inline(always)]
-    pub(super) fn at<'b, const N: usize>(&self, y: usize, s: usize, spare: &'b mut [u8; N]) -> &'b [u8; N]
-    where
-        'a: 'b,
-    {
-        let rest = self.bytes.get(y * self.stride + s * self.block..).unwrap_or_default();
-        if let Some(whole) = rest.first_chunk() {
-            return whole;
-        }
-        spare[..rest.len()].copy_from_slice(rest);
-        spare
+    fn row<const BLOCK: usize>(&self, y: usize) -> (&'a [[u8; BLOCK]], &'a [u8]) {
+        self.bytes.get(y * self.stride..).unwrap_or_default().as_chunks()
     }
+
+    /// Block `s` of row `y`; filled up with zeros where the picture ends in it.
+    #[inline(always)]
+    fn block<const BLOCK: usize>(&self, y: usize, s: usize) -> [u8; BLOCK] {
+        let (blocks, rest) = self.row(y);
+        blocks.get(s).copied().unwrap_or_else(|| filled_up(if s == blocks.len() { rest } else { &[] }))
+    }
+
+    /// Calls `each` with every whole block of 64 bytes of `out` and the block of row `y` in its place.
+    #[inline(always)]
+    pub(super) fn each_of_row<const BLOCK: usize>(
+        &self,
+        y: usize,
+        out: &mut [u8],
+        each: impl Fn(&[u8; BLOCK], &mut [u8; 64]),
+    ) {
+        let (blocks, rest) = self.row::<BLOCK>(y);
+        let mut spare;
+        for (s, out) in out.as_chunks_mut::<64>().0.iter_mut().enumerate() {
+            let block = match blocks.get(s) {
+                Some(block) => block,
+                None => {
+                    spare = filled_up(if s == blocks.len() { rest } else { &[] });
+                    &spare
+                }
+            };
+            each(block, out);
+        }
+    }
+}
+
+/// A block that begins with these bytes.
+fn filled_up<const BLOCK: usize>(bytes: &[u8]) -> [u8; BLOCK] {
+    let mut block = [0; BLOCK];
+    block[..bytes.len()].copy_from_slice(bytes);
+    block
 }
 
 /// Sets the words of rows `ys` to what `word` makes of their bytes; it is given strip and bytes.
 #[inline(always)]
-pub(super) fn each<const N: usize>(
+pub(super) fn each<const BLOCK: usize>(
     rows: Rows<'_>,
     ys: Range<usize>,
     bits: &mut BitImage,
-    word: impl Fn(usize, &[u8; N]) -> u64,
+    word: impl Fn(usize, &[u8; BLOCK]) -> u64,
 ) {
     let (strips, stride) = (bits.strips(), bits.strip_stride());
     let last = bits.strip_mask(strips - 1);
     let words = bits.words_mut();
-    let mut spare = [0; N];
+    let mut spare;
     for y in ys {
-        for s in 0..strips {
-            let mask = if s + 1 == strips { last } else { u64::MAX };
-            words[s * stride + PAD_ROWS + y] = word(s, rows.at(y, s, &mut spare)) & mask;
+        let (blocks, rest) = rows.row::<BLOCK>(y);
+        for (s, out) in words[PAD_ROWS + y..].iter_mut().step_by(stride).take(strips).enumerate() {
+            // One call only, so that it is compiled into the loop.
+            let block = match blocks.get(s) {
+                Some(block) => block,
+                None => {
+                    spare = filled_up(if s == blocks.len() { rest } else { &[] });
+                    &spare
+                }
+            };
+            *out = word(s, block) & if s + 1 == strips { last } else { u64::MAX };
         }
     }
 }
@@ -60,12 +94,18 @@ pub(super) fn each_with_chroma(
     let (strips, stride, height) = (bits.strips(), bits.strip_stride(), bits.height());
     let last = bits.strip_mask(strips - 1);
     let words = bits.words_mut();
-    let (mut spare, mut spare_chroma) = ([0; 64], [0; 64]);
+    let (mut spare, mut spare_chroma);
     for y in 0..height {
-        for s in 0..strips {
-            let mask = if s + 1 == strips { last } else { u64::MAX };
-            let chroma = chroma.at(y / 2, s, &mut spare_chroma);
-            words[s * stride + PAD_ROWS + y] = word(luma.at(y, s, &mut spare), chroma) & mask;
+        let ((blocks, _), (chroma_blocks, _)) = (luma.row::<64>(y), chroma.row::<64>(y / 2));
+        for (s, out) in words[PAD_ROWS + y..].iter_mut().step_by(stride).take(strips).enumerate() {
+            let (block, chroma) = match (blocks.get(s), chroma_blocks.get(s)) {
+                (Some(block), Some(chroma)) => (block, chroma),
+                _ => {
+                    (spare, spare_chroma) = (luma.block(y, s), chroma.block(y / 2, s));
+                    (&spare, &spare_chroma)
+                }
+            };
+            *out = word(block, chroma) & if s + 1 == strips { last } else { u64::MAX };
         }
     }
 }

@@ -2,7 +2,6 @@
 
 use super::*;
 use crate::frame::{LumaView, QuantizationRange, YcbcrMatrix};
-use crate::vision::decode::{Decoder, Output};
 use proptest::prelude::*;
 
 /// One pixel at a time, by the frame's own reading of its pixels.
