@@ -44,7 +44,7 @@ fn colours() -> [(&'static str, ColourRange); 3] {
 
 fn run(c: &mut Criterion, group: &str, name: &str, params: Params, level: Level, frame: &Frame) {
     let (width, height) = (frame.width, frame.height);
-    let mut stage = Binarize::new(params, width, height).expect("good parameters").with_level(level);
+    let mut stage = Binarize::with_level(params, width, height, level).expect("good parameters");
     let mut bits = BitImage::new(width, height);
     let id = BenchmarkId::new(format!("{name}/{}", level.name()), format!("{width}x{height}"));
     c.benchmark_group(group).bench_function(id, |b| {

@@ -84,7 +84,6 @@ impl Auto {
         let padded = width.next_multiple_of(64);
         Self { grid: Grid::new(width, height, region), row: vec![0; padded], end: vec![255; padded] }
     }
-
 }
 
 /// Brighter (or, where `dark`, darker) than the background around to `bits`. `luma_row` gives the luma of a row,
@@ -215,7 +214,8 @@ fn contrasts<const DARK: bool>(grid: &mut Grid) {
     for y in 0..grid.rows {
         let at = y * grid.pitch..y * grid.pitch + grid.columns;
         let dense = y * grid.columns..(y + 1) * grid.columns;
-        let samples = grid.level[at.clone()].iter().zip(&grid.background[at]).zip(&grid.region[dense.clone()]);
+        let samples =
+            grid.level[at.clone()].iter().zip(&grid.background[at]).zip(&grid.region[dense.clone()]);
         for (out, ((&level, &background), &inside)) in grid.contrast[dense].iter_mut().zip(samples) {
             let level = f32::from(level) + f32::from(OFFSET);
             let background = f32::from(background) + f32::from(OFFSET);

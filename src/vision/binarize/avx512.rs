@@ -173,9 +173,8 @@ pub(super) fn level_box(y: Rows<'_>, chroma: Option<Rows<'_>>, range: &LevelBox,
     match chroma {
         None => rows::each(y, ys, bits, |_, b: &[u8; 128]| word(load_at(b, 0), load_at(b, 64))),
         Some(chroma) => {
-            let widen = |i: usize, y: __m512i, c: __m512i| {
-                _mm512_permutex2var_epi8(y, load(&INTERLEAVED[i]), c)
-            };
+            let widen =
+                |i: usize, y: __m512i, c: __m512i| _mm512_permutex2var_epi8(y, load(&INTERLEAVED[i]), c);
             rows::each_with_chroma(y, chroma, bits, |y, c| {
                 let (y, c) = (load(y), load(c));
                 word(widen(0, y, c), widen(1, y, c))

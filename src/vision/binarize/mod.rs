@@ -102,6 +102,19 @@ impl Binarize {
     /// # Errors
     /// [`ParamsError`] says which parameter cannot be used.
     pub fn new(params: Params, width: usize, height: usize) -> Result<Self, ParamsError> {
+        Self::with_level(params, width, height, Level::detect())
+    }
+
+    /// As [`Binarize::new`] with other instructions, for comparing them; those this machine lacks are not used.
+    ///
+    /// # Errors
+    /// [`ParamsError`] says which parameter cannot be used.
+    pub fn with_level(
+        params: Params,
+        width: usize,
+        height: usize,
+        level: Level,
+    ) -> Result<Self, ParamsError> {
         if width == 0 || height == 0 || width > SIZE_MAX || height > SIZE_MAX {
             return Err(ParamsError::Size { width, height });
         }
@@ -115,7 +128,7 @@ impl Binarize {
             _ => ([0; 3], [255; 3]),
         };
         Ok(Self {
-            level: Level::detect(),
+            level: level.min(Level::detect()),
             boxes: Box::new([
                 ByteBox::new([r0, g0, b0], [r1, g1, b1]),
                 ByteBox::new([b0, g0, r0], [b1, g1, r1]),
@@ -128,14 +141,6 @@ impl Binarize {
             height,
             region,
         })
-    }
-
-    /// The same stage on other instructions, for comparing them; a level this machine lacks is not taken.
-    pub fn with_level(mut self, level: Level) -> Self {
-        if Level::available().contains(&level) {
-            self.level = level;
-        }
-        self
     }
 
     /// The parameters of `new`.

@@ -147,7 +147,9 @@ impl Strip {
     /// Sets pixels of a row to background.
     fn clear(self, bits: &mut BitImage, y: usize, pixels: u64) {
         let (s, shift) = (self.left.div_euclid(64), self.left.rem_euclid(64));
-        for (s, pixels) in [(s, pixels << shift), (s + 1, if shift == 0 { 0 } else { pixels >> (64 - shift) })] {
+        for (s, pixels) in
+            [(s, pixels << shift), (s + 1, if shift == 0 { 0 } else { pixels >> (64 - shift) })]
+        {
             if pixels != 0 {
                 bits.strip_mut(s as usize)[y] &= !pixels;
             }

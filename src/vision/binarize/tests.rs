@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::frame::{LumaView, QuantizationRange, YcbcrMatrix};
+use crate::vision::decode::{Decoder, Output};
 use proptest::prelude::*;
 
 /// One pixel at a time, by the frame's own reading of its pixels.
@@ -28,7 +29,7 @@ fn slow(params: &Params, frame: &Frame) -> BitImage {
 
 fn run(params: &Params, level: Level, frame: &Frame) -> BitImage {
     let mut stage =
-        Binarize::new(params.clone(), frame.width, frame.height).expect("good parameters").with_level(level);
+        Binarize::with_level(params.clone(), frame.width, frame.height, level).expect("good parameters");
     let mut bits = BitImage::new(frame.width, frame.height);
     // What was there before must not matter.
     (0..frame.width.min(frame.height)).for_each(|i| bits.set(i, i, true));
@@ -219,4 +220,98 @@ fn only_the_region_counts_and_only_in_it_is_anything_found() {
     let elsewhere = vec![[10.0, 60.0], [150.0, 60.0], [150.0, 200.0], [10.0, 200.0]];
     let params = Params { region_px: elsewhere, ..Params::default() };
     assert_eq!(run(&params, Level::detect(), &frame).count(), 0);
+}
+
+/// A bin under uneven light with bars in several colours, rows of R, G, B.
+fn coloured(width: usize, height: usize) -> Frame {
+    let colours = [[210.0, 205.0, 200.0], [200.0, 180.0, 140.0], [150.0, 170.0, 210.0]];
+    let mut bytes = Vec::with_capacity(3 * width * height);
+    for y in 0..height {
+        for x in 0..width {
+            let light = 0.8 + 0.4 * x as f32 / width as f32;
+            // Distance to the middle of the nearest slanting bar; bars are 8 px wide with soft edges.
+            let across = (x as f32 + 0.3 * y as f32).rem_euclid(60.0) - 30.0;
+            let share = (4.5 - across.abs()).clamp(0.0, 1.0);
+            let colour = colours[(x as f32 + 0.3 * y as f32) as usize / 60 % 3];
+            let floor = [38.0, 42.0, 52.0];
+            bytes.extend(
+                (0..3).map(|c| (light * (floor[c] + share * (colour[c] - floor[c]))).min(255.0) as u8),
+            );
+        }
+    }
+    Frame::from_rgb(width, height, bytes)
+}
+
+/// The same picture as a camera with subsampled chroma sends it (BT.601, limited range).
+fn as_ycbcr(rgb: &Frame, format: PixelFormat) -> Frame {
+    let (w, h) = (rgb.width, rgb.height);
+    let ycbcr = |x: usize, y: usize| {
+        let [r, g, b] = rgb.rgb(x, y).map(f32::from);
+        let luma = 0.299 * r + 0.587 * g + 0.114 * b;
+        let chroma = |c: f32, k: f32| 128.0 + (c - luma) / (2.0 * (1.0 - k)) * 224.0 / 255.0;
+        [16.0 + luma * 219.0 / 255.0, chroma(b, 0.114), chroma(r, 0.299)]
+    };
+    // The mean chroma of the pixels that share it.
+    let shared = |x: usize, y: usize, rows: usize, c: usize| {
+        let sum: f32 = (0..rows)
+            .flat_map(|dy| (0..2).map(move |dx| (dx, dy)))
+            .map(|(dx, dy)| ycbcr(x + dx, y + dy)[c])
+            .sum();
+        (sum / (2 * rows) as f32).round() as u8
+    };
+    let luma = |x: usize, y: usize| ycbcr(x, y)[0].round() as u8;
+    let mut bytes = Vec::new();
+    if format == PixelFormat::Yuyv {
+        for (y, x) in (0..h).flat_map(|y| (0..w).step_by(2).map(move |x| (y, x))) {
+            bytes.extend([luma(x, y), shared(x, y, 1, 1), luma(x + 1, y), shared(x, y, 1, 2)]);
+        }
+        return Frame { bytes, format, stride_bytes: 2 * w, ..rgb.clone() };
+    }
+    bytes.extend((0..h).flat_map(|y| (0..w).map(move |x| (x, y))).map(|(x, y)| luma(x, y)));
+    for (y, x) in (0..h).step_by(2).flat_map(|y| (0..w).step_by(2).map(move |x| (y, x))) {
+        bytes.extend([shared(x, y, 2, 1), shared(x, y, 2, 2)]);
+    }
+    Frame { bytes, format, stride_bytes: w, ..rgb.clone() }
+}
+
+/// The same scene in every format: at most one pixel in 200 differs, and all that do are beside an edge of the bars.
+#[test]
+fn formats_differ_only_where_chroma_is_shared_across_an_edge() {
+    let rgb = coloured(320, 240);
+    let mut jpeg = Vec::new();
+    image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, 92)
+        .encode(&rgb.bytes, 320, 240, image::ExtendedColorType::Rgb8)
+        .expect("encodes");
+    let mjpeg = Frame { bytes: jpeg, format: PixelFormat::Mjpeg, ..rgb.clone() };
+    let colours = [
+        ColourRange::Rgb { min: [100; 3], max: [255; 3] },
+        ColourRange::Grey { min: 110, max: 255 },
+        ColourRange::Auto,
+    ];
+    for colour in colours {
+        let params = Params { colour, ..Params::default() };
+        let expected = run(&params, Level::detect(), &rgb);
+        assert!(expected.count() > 320 * 240 / 10, "{colour:?}: the bars are object");
+        let output = if matches!(colour, ColourRange::Grey { .. }) { Output::Grey } else { Output::Rgb };
+        let mut decoder = Decoder::new(output, 320, 240);
+        let frames = [
+            as_ycbcr(&rgb, PixelFormat::Yuyv),
+            as_ycbcr(&rgb, PixelFormat::Nv12),
+            decoder.run(&mjpeg).expect("decodes").clone(),
+        ];
+        for (name, frame) in ["YUYV", "NV12", "MJPEG"].into_iter().zip(&frames) {
+            let bits = run(&params, Level::detect(), frame);
+            let mut differing = 0;
+            for (x, y) in (0..240).flat_map(|y| (0..320).map(move |x| (x, y))) {
+                if bits.get(x, y) != expected.get(x, y) {
+                    differing += 1;
+                    // At the picture's border an edge may lie just outside.
+                    let objects = (-2..=2).filter(|dx| expected.get(x + dx, y)).count();
+                    let on_edge = (1..5).contains(&objects) || !(2..318).contains(&x);
+                    assert!(on_edge, "{name}, {colour:?}: ({x}, {y}) is not on an edge");
+                }
+            }
+            assert!(differing <= 320 * 240 / 200, "{name}, {colour:?}: {differing} pixels differ");
+        }
+    }
 }

@@ -1,0 +1,100 @@
+//! The hot stages allocate nothing after `new` and one run.
+
+use pickcell::frame::{Frame, PixelFormat};
+use pickcell::vision::binarize::{Binarize, ColourRange, Params};
+use pickcell::vision::bits::BitImage;
+use pickcell::vision::level::Level;
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+/// The system's allocator, counting what each thread asks for.
+struct Counting;
+
+thread_local! {
+    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
+}
+
+fn count() {
+    // While a thread ends its count is gone already, and of no interest.
+    let _ = ALLOCATIONS.try_with(|n| n.set(n.get() + 1));
+}
+
+// SAFETY: everything is handed on to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count();
+        // SAFETY: the caller keeps the contract of `alloc`.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
+        // SAFETY: the caller keeps the contract of `dealloc`.
+        unsafe { System.dealloc(memory, layout) }
+    }
+
+    unsafe fn realloc(&self, memory: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count();
+        // SAFETY: the caller keeps the contract of `realloc`.
+        unsafe { System.realloc(memory, layout, size) }
+    }
+}
+
+#[global_allocator]
+static COUNTING: Counting = Counting;
+
+/// How often this thread allocates while `work` runs.
+fn allocations_of(work: impl FnOnce()) -> usize {
+    let before = ALLOCATIONS.with(Cell::get);
+    work();
+    ALLOCATIONS.with(Cell::get) - before
+}
+
+/// A dim floor with bright bars and specks; the larger `moment`, the more of them.
+fn frame(format: PixelFormat, moment: usize) -> Frame {
+    let (width, height) = (320, 240);
+    let row = match format {
+        PixelFormat::Rgb | PixelFormat::Bgr => 3 * width,
+        PixelFormat::Yuyv => 2 * width,
+        _ => width,
+    };
+    let mut frame = Frame { format, width, height, stride_bytes: row, ..Frame::default() };
+    frame.bytes.resize(frame.bytes_needed(), 128);
+    for (i, byte) in frame.bytes[..row * height].iter_mut().enumerate() {
+        let (x, y) = (i % row * width / row, i / row);
+        let object = (x + y / 3) % 40 < 6 * moment || (x * 31 + y * 17) % 257 < moment;
+        *byte = if object { 200 } else { 40 };
+    }
+    frame
+}
+
+#[test]
+fn the_counter_counts() {
+    assert_eq!(allocations_of(|| drop(std::hint::black_box(vec![1u8; 100]))), 1);
+}
+
+#[test]
+fn binarize_allocates_nothing_after_new() {
+    let region = vec![[10.0, 10.0], [300.0, 5.0], [310.0, 230.0], [5.0, 220.0]];
+    let colours = [
+        ColourRange::Rgb { min: [100; 3], max: [255; 3] },
+        ColourRange::Grey { min: 100, max: 255 },
+        ColourRange::Auto,
+    ];
+    let formats =
+        [PixelFormat::Rgb, PixelFormat::Bgr, PixelFormat::Grey, PixelFormat::Yuyv, PixelFormat::Nv12];
+    for (format, colour) in formats.into_iter().flat_map(|f| colours.map(|c| (f, c))) {
+        let frames: Vec<Frame> = (0..4).map(|moment| frame(format, moment)).collect();
+        for &level in Level::available() {
+            let params =
+                Params { colour, region_px: region.clone(), speck_px_min: 2000, ..Params::default() };
+            let mut stage = Binarize::with_level(params, 320, 240, level).expect("good parameters");
+            let mut bits = BitImage::new(320, 240);
+            let allocations = allocations_of(|| {
+                for frame in &frames {
+                    stage.run(frame, &mut bits).expect("a good frame");
+                }
+            });
+            assert_eq!(allocations, 0, "{format:?}, {colour:?}, {level:?}");
+        }
+    }
+}
