@@ -11,7 +11,7 @@ use crate::message::{Command, Refusal, Report};
 use rustix::fd::{AsFd, BorrowedFd, OwnedFd};
 use rustix::fs::{Mode, OFlags};
 use rustix::io::Errno;
-use rustix::termios::{ControlModes, OptionalActions, QueueSelector};
+use rustix::termios::{ControlModes, OptionalActions, QueueSelector, SpecialCodeIndex};
 use std::path::{Path, PathBuf};
 
 const MS: i64 = 1_000_000;
@@ -131,13 +131,17 @@ impl SerialLink {
         if self.port.is_none() {
             return Some(self.reopen_ns);
         }
-        let dialect = self.dialect.next_deadline_ns();
-        if self.rest_from < self.rest_to {
-            // The kernel's buffer is full: nobody tells when it is not.
-            return Some(dialect.unwrap_or(i64::MAX).min(super::monotonic_ns() + MS));
+        let dialect_ns = self.dialect.next_deadline_ns().unwrap_or(i64::MAX);
+        if dialect_ns == i64::MIN {
+            // Reports wait.
+            return Some(dialect_ns);
         }
-        // What is due while the line is busy waits for the line; a hold does not come by itself.
-        dialect.map(|at| at.max(self.free_ns.min(at.saturating_add(20 * MS))))
+        if self.rest_from < self.rest_to {
+            // The kernel's buffer is full: nobody reads at the other end.
+            return Some(super::monotonic_ns() + 5 * MS);
+        }
+        // What is due while the line is busy waits for the line; a hold never does, it goes out in `command`.
+        Some(dialect_ns.max(self.free_ns))
     }
 
     fn reopen(&mut self, now_ns: i64) {
@@ -261,6 +265,9 @@ fn configure(port: &OwnedFd, baud: u32) -> Result<(), Errno> {
     termios.make_raw();
     termios.control_modes |= ControlModes::CLOCAL | ControlModes::CREAD;
     termios.control_modes &= !(ControlModes::CSTOPB | ControlModes::CRTSCTS | ControlModes::HUPCL);
+    // A read that finds nothing says so, and does not look like a line that was hung up.
+    termios.special_codes[SpecialCodeIndex::VMIN] = 1;
+    termios.special_codes[SpecialCodeIndex::VTIME] = 0;
     termios.set_speed(baud)?;
     rustix::termios::tcsetattr(port, OptionalActions::Now, &termios)?;
     rustix::termios::ioctl_tiocexcl(port)?;
