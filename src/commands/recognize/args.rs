@@ -102,10 +102,11 @@ pub struct RecognizeArgs {
     /// Write both pictures with the result on top; with --pairs see --stages
     #[arg(long, value_name = "PNG", conflicts_with = "pairs", help_heading = "Output")]
     pub overlay: Option<PathBuf>,
-    /// Write what each stage saw into this folder (with --pairs: DIR/<name>/): {left,right}-{binary,skeleton,graph}.png, overlay.png
+    /// Write what each stage saw into this folder (with --pairs: into a folder of the name of each pair in it):
+    /// {left,right}-{binary,skeleton,graph}.png and overlay.png
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     pub stages: Option<PathBuf>,
-    /// Write DIR/<name>/results.json for every pair
+    /// Write results.json for every pair into a folder of its name in this one
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     pub out: Option<PathBuf>,
     /// How results are printed
