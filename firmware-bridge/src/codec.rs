@@ -416,6 +416,6 @@ fn decode<M: Message>(packet: &mut [u8]) -> Result<M, PacketError> {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 #[cfg(test)]
 mod vectors;

@@ -206,6 +206,33 @@ fn wrong_usage_ends_with_2_and_a_remedy() {
 }
 
 #[test]
+fn a_bridge_that_meets_another_dialect_ends_with_2() {
+    use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+    let folder = tempfile::tempdir().unwrap();
+    let printer = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+    grantpt(&printer).unwrap();
+    unlockpt(&printer).unwrap();
+    let device = ptsname(&printer, Vec::new()).unwrap().into_string().unwrap();
+    let (cell, settings) = write_cell(folder.path(), "dialect", "shared-memory");
+    let text = std::fs::read_to_string(&cell).unwrap();
+    let text = text.replace("\"arm\"", &format!("\"{device}\"\nhandshake_timeout_ms = 50"));
+    std::fs::write(&cell, text).unwrap();
+    let mut bridge = Running::start(&["run", "--cell", cell.to_str().unwrap()]);
+    let start_ns = monotonic_ns();
+    while bridge.0.try_wait().unwrap().is_none() {
+        assert!(
+            monotonic_ns() - start_ns < PATIENCE_NS,
+            "{}: the bridge takes text for an arm",
+            settings.arm.service
+        );
+        let _ = rustix::io::write(&printer, b"echo:Unknown command: \r\nok\r\n");
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
+    let (code, said) = bridge.end();
+    assert!(code == Some(2) && said.contains("no arm of this dialect: check arm.dialect"), "{said}");
+}
+
+#[test]
 fn a_service_of_another_kind_is_named_with_a_remedy() {
     use iceoryx2::prelude::*;
     let folder = tempfile::tempdir().unwrap();

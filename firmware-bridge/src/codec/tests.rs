@@ -54,13 +54,6 @@ fn the_longest_messages_fit_and_come_back() {
 
 #[test]
 fn another_version_and_unknown_messages_are_told_apart_from_garbage() {
-    let sealed = |content: &[u8]| {
-        let mut sealed = content.to_vec();
-        sealed.extend(CRC.checksum(content).to_le_bytes());
-        let mut out = cobs::encode_vec_like(&sealed);
-        out.push(0);
-        out
-    };
     let mut decoder = Decoder::new();
     let results: Vec<Result<ToArm, _>> = all(&mut decoder, &sealed(&[2, 0, 9]));
     assert_eq!(results, [Err(PacketError::WrongVersion { theirs: 2 })]);
@@ -72,6 +65,15 @@ fn another_version_and_unknown_messages_are_told_apart_from_garbage() {
     let long = [7u8; PACKET_LEN_MAX + 40];
     let results: Vec<Result<ToArm, _>> = all(&mut decoder, &[&long[..], &[0]].concat());
     assert_eq!(results, [Err(PacketError::Garbage { bytes: PACKET_LEN_MAX + 40 })]);
+}
+
+/// A sound packet with this content.
+pub(crate) fn sealed(content: &[u8]) -> Vec<u8> {
+    let mut sealed = content.to_vec();
+    sealed.extend(CRC.checksum(content).to_le_bytes());
+    let mut out = cobs::encode_vec_like(&sealed);
+    out.push(0);
+    out
 }
 
 /// Plain COBS, written down anew from the definition.

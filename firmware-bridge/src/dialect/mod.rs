@@ -1,6 +1,6 @@
 //! The languages of arms, each a state machine without a device, a thread or a clock.
 //!
-//! Takes [`Command`](crate::message::Command)s and the bytes that arrived; gives [`Report`]s and the bytes to send; owns the handshake,
+//! Takes [`Command`]s and the bytes that arrived; gives [`Report`]s and the bytes to send; owns the handshake,
 //! heartbeats, acknowledgements, time-outs and the queue of lines of one arm. All memory is taken in `new`.
 //!
 //! Every dialect has the same shape:

@@ -10,10 +10,7 @@
 mod follow;
 
 use super::{Reports, Transmit};
-use crate::codec::{
-    self, ArmRefusal, ArmState, Decoder, FromArm, PACKET_LEN_MAX, PacketError, Progress, Status, ToArm,
-    ToArmBody, WirePick,
-};
+use crate::codec::{self, Decoder, FromArm, PACKET_LEN_MAX, PacketError, ToArm, ToArmBody, WirePick};
 use crate::config::Settings;
 use crate::gate::Gate;
 use crate::message::{Command, Disconnect, HeldBy, Pick, Refusal, Report};
@@ -531,5 +528,84 @@ impl Own {
             self.reports.push(Report::Failed { id: current.pick.id, failure });
             self.start_hold(now_ns);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::codec::tests::sealed;
+    use crate::gate::tests::settings;
+
+    /// Reports until there are none.
+    fn reports(own: &mut Own, now_ns: i64) -> Vec<Report> {
+        std::iter::from_fn(|| own.poll(now_ns)).collect()
+    }
+
+    #[test]
+    fn an_arm_of_another_version_is_named_and_not_moved() {
+        let mut own = Own::new(&settings(), 1);
+        own.on_link(true, MS);
+        let mut out = [0; crate::dialect::TRANSMIT_LEN_MIN];
+        assert!(own.transmit(MS, &mut out).len > 0, "hello");
+        // A welcome to session 1 as version 9 would say it.
+        own.on_bytes(&sealed(&[0x89, 0, 1, 0, 0, 1, 1, 1, 0]), 2 * MS);
+        assert_eq!(reports(&mut own, 2 * MS), [Report::WrongVersion { ours: 1, theirs: 9 }]);
+        assert_eq!(own.command(Command::Release, 3 * MS), Err(Refusal::NotConnected));
+    }
+
+    #[test]
+    fn an_arm_that_echoes_or_prints_text_is_another_dialect() {
+        let mut own = Own::new(&settings(), 1);
+        own.on_link(true, 0);
+        let mut out = [0; crate::dialect::TRANSMIT_LEN_MIN];
+        let mut said = Vec::new();
+        for second in 0..5 {
+            let now_ns = second * 1000 * MS;
+            let sent = own.transmit(now_ns, &mut out);
+            own.on_bytes(&out[..sent.len], now_ns);
+            own.on_bytes(b"Grbl 1.1h ['$' for help]\r\nerror:1\r\nerror:1\r\n", now_ns);
+            own.on_bytes(b"ok T:21.3 /0.0 B:20.9 /0.0 T0:21.3 /0.0 @:0 B@:0\r\n", now_ns);
+            said.extend(reports(&mut own, now_ns));
+        }
+        assert!(said.contains(&Report::WrongDialect), "{said:?}");
+        assert!(!said.iter().any(|report| matches!(report, Report::Connected { .. })), "{said:?}");
+    }
+
+    #[test]
+    fn a_pick_that_waited_for_the_line_is_checked_again_when_its_bytes_are_made() {
+        let mut own = Own::new(&settings(), 1);
+        own.on_link(true, 0);
+        let mut out = [0; crate::dialect::TRANSMIT_LEN_MIN];
+        own.transmit(0, &mut out);
+        let mut status = codec::Status {
+            session: 1,
+            echo: 0,
+            acked: 0,
+            arm: codec::ArmState::Held(HeldBy::Start),
+            clear_of_view: true,
+            position_known: true,
+            last: None,
+        };
+        let mut answer = |own: &mut Own, message: FromArm, now_ns| {
+            let len = codec::encode(&message, &mut out).unwrap();
+            own.on_bytes(&out[..len], now_ns);
+        };
+        answer(&mut own, FromArm::Welcome(status), 800 * MS);
+        own.command(Command::Release, 810 * MS).unwrap();
+        let mut bytes = [0; crate::dialect::TRANSMIT_LEN_MIN];
+        own.transmit(810 * MS, &mut bytes);
+        (status.acked, status.arm) = (1, codec::ArmState::Ready);
+        answer(&mut own, FromArm::Status(status), 820 * MS);
+        assert!(reports(&mut own, 820 * MS).contains(&Report::Ready { clear_of_view: true }));
+        // Seen at 1000 ms with a deadline of 66 ms; the line takes about 20 ms for it.
+        own.command(Command::Pick(crate::gate::tests::pick()), 1010 * MS).unwrap();
+        let mut long_after = own.transmit(1055 * MS, &mut bytes);
+        while long_after.len > 0 {
+            assert_eq!(long_after.pick, None, "its last byte would be late");
+            long_after = own.transmit(1055 * MS, &mut bytes);
+        }
+        let refusal = Refusal::Stale { age_ms: 76, max_ms: 66 };
+        assert_eq!(reports(&mut own, 1055 * MS), [Report::Refused { id: 7, refusal }]);
     }
 }

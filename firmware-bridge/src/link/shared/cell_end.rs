@@ -111,11 +111,11 @@ impl CellEnd {
             self.reports.push(Report::ReportsLost);
         }
         for number in record.newest.wrapping_sub(new.min(REPORTS as u32))..record.newest {
-            if let Some(report) = record.reports[(number.wrapping_add(1) as usize) % REPORTS] {
-                if self.concerns(&report) {
-                    self.follow(&report, now_ns);
-                    self.reports.push(report);
-                }
+            if let Some(report) = record.reports[(number.wrapping_add(1) as usize) % REPORTS]
+                && self.concerns(&report)
+            {
+                self.follow(&report, now_ns);
+                self.reports.push(report);
             }
         }
         self.seen = record.newest;
