@@ -317,3 +317,25 @@ fn the_cell_that_comes_with_the_project_is_right() {
         }
     }
 }
+
+proptest::proptest! {
+    #![proptest_config(proptest::prelude::ProptestConfig::with_cases(128))]
+
+    /// Whatever is cut out of a cell and put into its place: a cell or a message that names the file, never a panic.
+    #[test]
+    fn no_text_makes_the_reader_panic(
+        at in 0usize..2000,
+        length in 0usize..40,
+        put in proptest::sample::select(vec![
+            "", "[", "]", "=", "\"", "nan", "-1", "1e999", "{}", "[]", "\n[rig]\n", "\u{0}", "ä", "x = 1",
+        ]),
+    ) {
+        let bench = Bench::new();
+        let start = (0..=at % GOOD.len()).rev().find(|&i| GOOD.is_char_boundary(i)).unwrap_or(0);
+        let end = (start + length).min(GOOD.len());
+        let text = format!("{}{put}{}", &GOOD[..start], &GOOD[end..]);
+        if let Err(error) = bench.check(&text) {
+            proptest::prop_assert!(error.to_string().contains("cell.toml"), "{}", error);
+        }
+    }
+}
