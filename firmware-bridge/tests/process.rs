@@ -127,11 +127,14 @@ fn place_one(link: &mut Link, session: u32, id: u64) {
 fn a_serial_driver_picks_with_the_simulated_arm_and_it_ends_cleanly() {
     let folder = tempfile::tempdir().unwrap();
     let pty = folder.path().join("arm");
-    let mut arm = simulate(&pty, &["--format", "json"]);
+    let placed = folder.path().join("placed");
+    let note = format!("echo placed >>{}", placed.display());
+    let mut arm = simulate(&pty, &["--format", "json", "--on-place", &note]);
     let (_, settings) = write_cell(folder.path(), "serial", "serial");
     let mut link = Link::open(&settings, 7).unwrap();
     let session = wait_connected(&mut link);
     place_one(&mut link, session, 1);
+    wait_for_file(&placed);
     assert_eq!(arm.terminate(), Some(0));
     assert!(!pty.is_symlink(), "the link is removed");
     let said: Vec<String> =

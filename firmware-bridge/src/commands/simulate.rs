@@ -14,6 +14,7 @@ use std::ffi::OsString;
 use std::io::Write;
 use std::os::unix::ffi::OsStringExt;
 use std::path::{Path, PathBuf};
+use std::process::{Child, Command as Process, Stdio};
 
 #[derive(Args)]
 #[command(
@@ -45,6 +46,9 @@ pub(crate) struct Arguments {
     /// Speed of the line; answers take as long as they would on it.
     #[arg(long, default_value_t = 115_200, value_parser = clap::value_parser!(u32).range(1200..=4_000_000))]
     baud: u32,
+    /// Shell command to run whenever a part was placed, e.g. to bring the next scene into view.
+    #[arg(long, value_name = "COMMAND")]
+    on_place: Option<String>,
     /// How to print what the arm does.
     #[arg(long, default_value = "text")]
     format: Format,
@@ -111,6 +115,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let start_ns = monotonic_ns();
     let mut line_free_ns = start_ns;
     let mut bytes = [0; 256];
+    let mut holds_part = false;
+    let mut placed: Option<Child> = None;
     while !super::signalled(&signals) {
         let now_ns = monotonic_ns();
         match rustix::io::read(&pty.master, &mut bytes) {
@@ -120,6 +126,14 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         }
         while let Some(motion) = arm.poll(now_ns) {
             print_motion(motion, now_ns - start_ns, arguments.format);
+            match (motion, &arguments.on_place) {
+                (Motion::Closed { holds_part: holds }, _) => holds_part = holds,
+                (Motion::Opened, Some(command)) if holds_part => {
+                    holds_part = false;
+                    start(command, &mut placed);
+                }
+                _ => {}
+            }
         }
         let mut until_ns = arm.next_deadline_ns().unwrap_or(i64::MAX);
         if now_ns >= line_free_ns {
@@ -136,6 +150,21 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         wait_for(&[Some(pty.master.as_fd()), Some(signals.as_fd())], until_ns);
     }
     Ok(())
+}
+
+/// Runs a shell command beside the arm; the one before it is collected.
+fn start(command: &str, running: &mut Option<Child>) {
+    if let Some(mut earlier) = running.take()
+        && !matches!(earlier.try_wait(), Ok(Some(_)))
+    {
+        tracing::warn!(command, "the last one still runs: ended");
+        let _ = earlier.kill();
+        let _ = earlier.wait();
+    }
+    match Process::new("/bin/sh").args(["-c", command]).stdin(Stdio::null()).stdout(Stdio::null()).spawn() {
+        Ok(child) => *running = Some(child),
+        Err(error) => tracing::error!(command, %error, "cannot be started"),
+    }
 }
 
 /// One line; somebody who waits for it sees it at once.
