@@ -7,9 +7,9 @@ use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 use crate::frame::{FramePair, LumaView};
 use crate::grasp::{self, Blocked, Grasp, Placed};
 use crate::matching::exhaustive::{self, Exhaustive};
-use crate::matching::fitness::{Judge, Weights};
+use crate::matching::fitness::{Judge, UNMATCHED, Weights};
 use crate::matching::hypotheses::{self, Hypothesis, SingleParams};
-use crate::matching::nodes;
+use crate::matching::nodes::{self, NodeRole};
 use crate::matching::problem::{Gate, GateParams, MatchModel};
 use crate::matching::select::{self, ClaimMap};
 use crate::part::Part;
@@ -278,7 +278,8 @@ pub struct Recognizer {
     explanations: Vec<Explanation>,
     explained: usize,
     claims: [ClaimMap; 2],
-    widths: Vec<f64>,
+    /// Image nodes, left and right, that are ends of parts recognised for certain.
+    ends_taken: [Vec<bool>; 2],
 }
 
 impl Recognizer {
@@ -300,7 +301,7 @@ impl Recognizer {
             explanations: Vec::with_capacity(EXPLANATIONS_MAX),
             explained: 0,
             claims,
-            widths: Vec::with_capacity(1024),
+            ends_taken: [0, 1].map(|_| Vec::with_capacity(params.nodes.nodes_max)),
             pictures,
             params,
             rig,
@@ -401,33 +402,39 @@ impl Recognizer {
         pool.sort_unstable_by(|a, b| a.fitness.total_cmp(&b.fitness));
     }
 
-    /// Refines and judges the hypotheses, each pose once.
+    /// Refines and judges the hypotheses, each pose once. Wire and ends that a certain explanation has are not
+    /// explained again.
     fn explain(&mut self, pair: &FramePair) {
         self.explained = 0;
-        let Self { pictures, rig, parts, pool, refine, explanations, explained, widths, params, .. } = self;
+        self.claims.iter_mut().for_each(ClaimMap::clear);
+        let Self { pictures, rig, parts, pool, refine, explanations, explained, claims, gate, ends_taken, params, .. } =
+            self;
         let Some(views) = views(pictures, rig, pair, params) else { return };
+        for (taken, picture) in ends_taken.iter_mut().zip(pictures.iter()) {
+            taken.clear();
+            taken.resize(picture.nodes().len(), false);
+        }
         let down = grasp::down_in_left(&params.grasp);
         let slope_sin_max = params.slope_rad_max.sin();
         for hypothesis in pool.iter() {
+            if *explained == EXPLANATIONS_MAX {
+                return;
+            }
             let prepared = &parts[hypothesis.part];
-            let known = explanations[..*explained].iter().any(|e| {
-                e.hypothesis.part == hypothesis.part
-                    && prepared.distance_mm(&e.fit.left_from_part, &hypothesis.left_from_part) < 2.0
+            let takes_taken_end = hypothesis.nodes.iter().filter(|n| **n != UNMATCHED).any(|&n| {
+                let node = &gate.nodes()[n as usize];
+                ends_taken[0][node.left as usize] || ends_taken[1][node.right as usize]
             });
-            if known || *explained == EXPLANATIONS_MAX {
+            if takes_taken_end
+                || is_explained(refine, prepared, hypothesis, &views, claims)
+                || prepared.is_among(&explanations[..*explained], hypothesis.part, &hypothesis.left_from_part, 2.0)
+            {
                 continue;
             }
-            let Some(fit) = refine.run(&prepared.pose_model, &hypothesis.left_from_part, &views) else {
-                continue;
-            };
-            if prepared.slope_sin(&fit.left_from_part, &down) > slope_sin_max {
-                continue;
-            }
-            let same = explanations[..*explained].iter().any(|e| {
-                e.hypothesis.part == hypothesis.part
-                    && prepared.distance_mm(&e.fit.left_from_part, &fit.left_from_part) < 1.0
-            });
-            if same {
+            let Some(fit) = refine.run(&prepared.pose_model, &hypothesis.left_from_part, &views) else { continue };
+            if prepared.slope_sin(&fit.left_from_part, &down) > slope_sin_max
+                || prepared.is_among(&explanations[..*explained], hypothesis.part, &fit.left_from_part, 1.0)
+            {
                 continue;
             }
             if *explained == explanations.len() {
@@ -440,16 +447,21 @@ impl Recognizer {
             }
             let explanation = &mut explanations[*explained];
             (explanation.hypothesis, explanation.fit, explanation.taken) = (*hypothesis, fit, false);
-            verify(
-                refine,
-                &prepared.pose_model,
-                &prepared.stops,
-                &fit.left_from_part,
-                &views,
-                widths,
-                &mut explanation.verdict,
-            );
+            let verdict = &mut explanation.verdict;
+            verify(refine, &prepared.pose_model, &prepared.stops, &fit.left_from_part, &views, verdict);
             *explained += 1;
+            if select::is_certain(&fit, verdict, prepared.pose_model.ends.len()) {
+                for piece in &verdict.pieces {
+                    claims[0].claim(&piece[0]);
+                    claims[1].claim(&piece[1]);
+                }
+                for end in refine.ends() {
+                    for side in 0..2 {
+                        let Some(end) = end[side] else { continue };
+                        take_ends(pictures[side].nodes(), &end.expected_px, &mut ends_taken[side]);
+                    }
+                }
+            }
         }
     }
 
@@ -470,7 +482,7 @@ impl Recognizer {
                     .map(|q| (q.x.round(), q.y.round()))
                     .collect();
                 eprintln!(
-                    "{} fit {:.2} {:?} clear {:.2} {:.2} outl {:.2} {:.2} miss {:.2} {:.2} over {:.1} off {:.2} endoff {:.1} seen {} w {:.2} worth {:?} misfit {:.2}",
+                    "{} fit {:.2} {:?} clear {:.2} {:.2} outl {:.2} {:.2} miss {:.2} {:.2} over {:.1} off {:.2} endoff {:.1} seen {} worth {:?} misfit {:.2}",
                     p.part.name,
                     e.hypothesis.fitness,
                     px,
@@ -484,7 +496,6 @@ impl Recognizer {
                     v.offset_px,
                     v.end_offset_px,
                     v.ends_seen,
-                    v.width_ratio,
                     select::worth_mm(&self.params.select, &p.pose_model, v, &self.claims),
                     e.fit.misfit
                 );
@@ -525,7 +536,7 @@ impl Recognizer {
             let left_mm = pose * node.position_mm;
             let anchor = prepared.match_model.anchors.iter().position(|a| a.node == Some(n));
             let matched =
-                anchor.is_some_and(|a| e.hypothesis.nodes[a] != crate::matching::fitness::UNMATCHED);
+                anchor.is_some_and(|a| e.hypothesis.nodes[a] != UNMATCHED);
             FoundNode {
                 left_mm,
                 left_px: self.rig.project_left(&left_mm).unwrap_or_default(),
@@ -585,15 +596,45 @@ impl Recognizer {
     }
 }
 
+/// Distance in pixels within which an image node is a part's end.
+const SAME_END_PX: f64 = 5.0;
+
+/// Marks the ends of a picture at a place.
+fn take_ends(nodes: &[nodes::ImageNode], at: &Vector2<f64>, taken: &mut [bool]) {
+    for (node, taken) in nodes.iter().zip(taken) {
+        *taken |= node.role == NodeRole::End && (node.position_px - at).norm() < SAME_END_PX;
+    }
+}
+
+/// Whether most of the wire that a hypothesis would explain is explained for certain already.
+fn is_explained(
+    refine: &Refine,
+    prepared: &Prepared,
+    hypothesis: &Hypothesis,
+    views: &[View; 2],
+    claims: &[ClaimMap; 2],
+) -> bool {
+    let stations = &prepared.pose_model.stations;
+    let probes = stations.iter().step_by((stations.len() / 8).max(1));
+    let (mut probed, mut claimed) = (0, 0);
+    for station in probes {
+        probed += 1;
+        let at = refine.expect(&prepared.pose_model, station, &hypothesis.left_from_part, &views[0]);
+        claimed += at.is_some_and(|(px, across)| claims[0].is_claimed_at(&px, &across)) as usize;
+    }
+    2 * claimed > probed
+}
+
 fn views<'a>(
     pictures: &'a [Picture; 2],
     rig: &'a Rig,
     pair: &'a FramePair,
     params: &Params,
 ) -> Option<[View<'a>; 2]> {
-    let view = |picture: &'a Picture, frame, camera, camera_from_left, inverted| {
+    let view = |picture: &'a Picture, frame, camera, camera_from_left: Isometry3<f64>, inverted| {
         Some(View {
             camera,
+            rotation: camera_from_left.rotation.to_rotation_matrix().into_inner(),
             camera_from_left,
             profiler: Profiler::new(LumaView::new(picture.raw(frame))?, inverted, CONTRAST_MIN),
             mask: picture.mask(),
@@ -642,6 +683,13 @@ impl Prepared {
     fn slope_sin(&self, left_from_part: &Isometry3<f64>, down: &Vector3<f64>) -> f64 {
         let slope = |leg: &(Vector3<f64>, f64)| (left_from_part * leg.0).dot(down).abs();
         self.match_model.anchors.iter().flat_map(|a| a.legs.iter().map(slope)).fold(0.0, f64::max)
+    }
+
+    /// Whether an explanation of this part lies within `distance_mm` of a pose.
+    fn is_among(&self, explanations: &[Explanation], part: usize, pose: &Isometry3<f64>, distance_mm: f64) -> bool {
+        explanations
+            .iter()
+            .any(|e| e.hypothesis.part == part && self.distance_mm(&e.fit.left_from_part, pose) < distance_mm)
     }
 
     /// Mean distance of the part's nodes and bends between two poses, under the symmetry that makes it least.

@@ -93,6 +93,31 @@ impl<'a> LumaView<'a> {
         }
     }
 
+    /// Luma of `out.len()` pixels from (x, y) on, to the right or, where `down`, downwards.
+    ///
+    /// # Panics
+    /// Where they leave the picture.
+    #[inline]
+    pub fn read_line(&self, x: usize, y: usize, down: bool, out: &mut [u8]) {
+        let count = out.len();
+        let (dx, dy) = if down { (0, 1) } else { (1, 0) };
+        assert!(x + dx * count <= self.width + (1 - dx) && y + dy * count <= self.height + (1 - dy), "line in picture");
+        if let Reading::Weighted(w) = self.reading {
+            let step = if down { self.stride } else { 3 };
+            let begin = y * self.stride + 3 * x;
+            let bytes = &self.bytes[begin..begin + (count.max(1) - 1) * step + 3];
+            for (k, o) in out.iter_mut().enumerate() {
+                let p = &bytes[k * step..k * step + 3];
+                let sum = i32::from(p[0]) * w[0] + i32::from(p[1]) * w[1] + i32::from(p[2]) * w[2];
+                *o = ((sum + (1 << (colour::LUMA_SHIFT - 1))) >> colour::LUMA_SHIFT) as u8;
+            }
+        } else {
+            for (k, o) in out.iter_mut().enumerate() {
+                *o = self.at(x + dx * k, y + dy * k);
+            }
+        }
+    }
+
     /// Luma between the four nearest pixels, bilinear; pixel centres are at whole numbers. Beyond the picture
     /// its border goes on; a NaN coordinate counts as 0.
     #[inline]

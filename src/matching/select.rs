@@ -4,7 +4,10 @@
 //! The most valuable one stands and claims its stretches of wire; all others lose what it claimed, until none is
 //! left that still has a case.
 
+use nalgebra::Vector2;
+
 use crate::pose::model::PoseModel;
+use crate::pose::refine::Fit;
 use crate::pose::verify::{PieceSight, Sight, Verdict};
 
 /// When an explanation stands.
@@ -78,10 +81,10 @@ impl ClaimMap {
 
     /// Claims a piece of wire.
     pub fn claim(&mut self, piece: &PieceSight) {
-        let value = direction_of(piece) as u8 + 1;
+        let value = direction_of(&piece.across) as u8 + 1;
         let steps = (piece.half_width_px * 0.8 / CELL_PX).ceil() as i32;
         for k in -steps..=steps {
-            let along = nalgebra::Vector2::new(piece.across.y, -piece.across.x);
+            let along = Vector2::new(piece.across.y, -piece.across.x);
             for s in -1..=1 {
                 let at = piece.expected_px
                     + piece.across * (piece.half_width_px * 0.8 * k as f64 / steps.max(1) as f64)
@@ -98,18 +101,23 @@ impl ClaimMap {
 
     /// Whether the middle of a piece lies on claimed wire of the same direction.
     pub fn is_claimed(&self, piece: &PieceSight) -> bool {
-        let Some(cell) = self.cell(piece.expected_px.x, piece.expected_px.y) else { return false };
+        self.is_claimed_at(&piece.expected_px, &piece.across)
+    }
+
+    /// Whether a place lies on claimed wire of the direction that `across` is at right angles to.
+    pub fn is_claimed_at(&self, px: &Vector2<f64>, across: &Vector2<f64>) -> bool {
+        let Some(cell) = self.cell(px.x, px.y) else { return false };
         let value = self.cells[cell] as i32;
         if value == 0 {
             return false;
         }
-        let turn = (value - 1 - direction_of(piece)).rem_euclid(DIRECTIONS);
+        let turn = (value - 1 - direction_of(across)).rem_euclid(DIRECTIONS);
         turn.min(DIRECTIONS - turn) <= SAME_DIRECTION
     }
 }
 
-fn direction_of(piece: &PieceSight) -> i32 {
-    let angle = piece.across.y.atan2(piece.across.x) / std::f64::consts::PI;
+fn direction_of(across: &Vector2<f64>) -> i32 {
+    let angle = across.y.atan2(across.x) / std::f64::consts::PI;
     ((angle * DIRECTIONS as f64).round() as i32).rem_euclid(DIRECTIONS)
 }
 
@@ -129,6 +137,18 @@ pub fn free_length_mm(model: &PoseModel, verdict: &Verdict, claims: &[ClaimMap; 
         }
     }
     free
+}
+
+/// Whether an explanation leaves no doubt: all ends seen in both pictures where they should be, all wire there, none
+/// beyond.
+pub fn is_certain(fit: &Fit, verdict: &Verdict, ends: usize) -> bool {
+    verdict.ends_seen as usize == 2 * ends
+        && verdict.ends_off_px < 0.5 * verdict.ends_seen as f64
+        && verdict.missing == [0.0; 2]
+        && verdict.overrun_mm == 0.0
+        && verdict.clear.iter().all(|c| *c > 0.75)
+        && verdict.offset_px < 0.35
+        && fit.misfit < 1.2
 }
 
 /// What an explanation is worth in mm of wire, given what is claimed; `None` where it does not stand.

@@ -2,28 +2,31 @@
 //!
 //! Every station of the part's centreline is projected into both pictures; across the wire there the outline is
 //! measured, and its middle compared with the projection. Free ends that are seen are compared along the wire.
-//! Gauss-Newton with a Geman-McClure loss turns and moves the part until both agree.
+//! Gauss-Newton with a Geman-McClure loss turns and moves the part until both agree. What is measured does not depend
+//! on the pose, only where it is looked for: a picture is read again only where the pose has moved far.
 //!
 //! The outline of a lit round wire is not its silhouette: light from above leaves its flanks dark, so the middle
 //! between two outlines belongs to a point above the axis. [`Params::lift_radii`] says how far.
 
-use nalgebra::{
-    Isometry3, Matrix2x3, Matrix6, Point3, Rotation3, RowVector3, Translation3, Vector2, Vector3, Vector6,
-};
+use nalgebra::{Isometry3, Matrix2x3, Matrix3, Matrix6, Point3, Rotation3, Translation3, Vector2, Vector3, Vector6};
 
-use super::model::{PoseModel, Station};
+use super::model::PoseModel;
 use super::section::{Profiler, Section, mask_run};
 use crate::rig::{CameraModel, Rig};
 use crate::vision::bits::BitImage;
 
 /// Most measurements of one fit.
 const OBSERVATIONS_MAX: usize = 1024;
-
+/// Every so many stations are looked at while the pose is rough.
+const COARSE_STRIDE: usize = 3;
+/// Rounds of reweighting on one set of measurements.
+const REWEIGHTINGS: u32 = 4;
 /// See [`Observation::patience`].
 const END_PATIENCE: f64 = 3.0;
-
 /// Where the width is looked at before an end, in half widths.
 const BARE_HALF_WIDTHS: [f64; 3] = [0.8, 1.6, 2.8];
+/// A pose that moved the wire by less than this in the pictures need not be looked at again.
+const SETTLED_PX: f64 = 0.7;
 
 /// How a pose is refined.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,7 +43,7 @@ pub struct Params {
     pub end_reach_radii: f64,
     /// Rounds with the binary picture, from the rough pose on.
     pub coarse_rounds: u32,
-    /// Rounds with the grey values.
+    /// Rounds with the grey values, at most.
     pub fine_rounds: u32,
 }
 
@@ -65,13 +68,15 @@ pub struct View<'a> {
     pub camera: &'a CameraModel,
     /// From the left camera's frame to this camera's.
     pub camera_from_left: Isometry3<f64>,
+    /// The same rotation as a matrix.
+    pub rotation: Matrix3<f64>,
     /// Its grey values.
     pub profiler: Profiler<'a>,
     /// Its binary picture.
     pub mask: &'a BitImage,
 }
 
-/// What one picture shows at one station.
+/// What one picture shows at one station, with distances from where the wire is expected.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sighting {
     /// What was measured, if anything.
@@ -84,6 +89,17 @@ pub struct Sighting {
     pub across: Vector2<f64>,
     /// Expected half width of the silhouette.
     pub half_width_px: f64,
+    gradient: Vector6<f64>,
+}
+
+/// A free end in one picture: how far beyond the expected place it is seen.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct EndSighting {
+    /// In pixels; `None` where something hides it.
+    pub beyond_px: Option<f64>,
+    /// The expected place.
+    pub expected_px: Vector2<f64>,
+    gradient: Vector6<f64>,
 }
 
 /// A refined pose.
@@ -112,129 +128,168 @@ struct Observation {
 pub struct Refine {
     params: Params,
     observations: Vec<Observation>,
-    left_from_right_centre: Point3<f64>,
+    sightings: Vec<[Option<Sighting>; 2]>,
+    ends: Vec<[Option<EndSighting>; 2]>,
+    eye: Point3<f64>,
 }
 
 impl Refine {
     /// For this rig; reserves all memory.
     pub fn new(params: Params, rig: &Rig) -> Self {
+        let right_eye = rig.right_from_left.inverse() * Point3::origin();
         Self {
             params,
             observations: Vec::with_capacity(OBSERVATIONS_MAX),
-            left_from_right_centre: rig.right_from_left.inverse() * Point3::origin(),
+            sightings: Vec::with_capacity(OBSERVATIONS_MAX),
+            ends: Vec::with_capacity(64),
+            eye: nalgebra::center(&Point3::origin(), &right_eye),
         }
     }
 
-    /// The parameters.
-    pub fn params(&self) -> &Params {
-        &self.params
+    /// What both pictures show at every station of the part, at the pose of the last [`Refine::run`].
+    pub fn sightings(&self) -> &[[Option<Sighting>; 2]] {
+        &self.sightings
     }
 
-    /// Unit vector from a point of a wire towards the cameras, at right angles to the wire: the side that is lit.
-    pub fn upward(&self, point: &Point3<f64>, tangent: &Vector3<f64>) -> Vector3<f64> {
-        let eye = nalgebra::center(&Point3::origin(), &self.left_from_right_centre);
-        let to_eye = eye - point;
-        let across = to_eye - tangent * tangent.dot(&to_eye);
-        across / across.norm().max(1e-9)
-    }
-
-    /// Looks at one station in one picture. `None` where it is out of the picture.
-    pub fn sight(
-        &self,
-        model: &PoseModel,
-        station: &Station,
-        left_from_part: &Isometry3<f64>,
-        view: &View,
-        search_px: f64,
-    ) -> Option<Sighting> {
-        let aim = self.aim(
-            model.radius_mm,
-            &(left_from_part * station.position_mm),
-            &(left_from_part * station.tangent),
-            view,
-        )?;
-        Some(Sighting {
-            section: view.profiler.across(aim.px, aim.across, aim.half_width_px, search_px),
-            object: view.mask.get(aim.px.x.round() as i32, aim.px.y.round() as i32),
-            expected_px: aim.px,
-            across: aim.across,
-            half_width_px: aim.half_width_px,
-        })
-    }
-
-    fn aim(&self, radius_mm: f64, point: &Point3<f64>, tangent: &Vector3<f64>, view: &View) -> Option<Aim> {
-        let lifted = point + self.upward(point, tangent) * (self.params.lift_radii * radius_mm);
-        aim(radius_mm, &lifted, tangent, view)
+    /// What both pictures show at every free end of the part, at the pose of the last [`Refine::run`].
+    pub fn ends(&self) -> &[[Option<EndSighting>; 2]] {
+        &self.ends
     }
 
     /// Refines `start`, a rough pose, in both pictures. `None` where too little of the part is seen to hold it.
     pub fn run(&mut self, model: &PoseModel, start: &Isometry3<f64>, views: &[View; 2]) -> Option<Fit> {
         let mut pose = *start;
         for round in 0..self.params.coarse_rounds {
-            self.observe_masks(model, &pose, views, if round == 0 { 7.0 } else { 4.0 });
-            self.step(model, &mut pose, if round == 0 { 4.0 } else { 2.0 } / self.params.section_sigma_px)?;
+            let (search_px, scale_px) = if round == 0 { (7.0, 4.0) } else { (4.0, 2.0) };
+            self.observe_masks(model, &pose, views, search_px);
+            self.solve(model, &mut pose, [scale_px, scale_px], 2)?;
         }
         let mut fit = None;
         for round in 0..self.params.fine_rounds {
-            let (search_px, scale_px) = match round {
-                0 => (2.5, 1.5),
-                1 => (1.5, 0.7),
-                _ => (1.0, 0.5),
-            };
-            self.observe_outlines(model, &pose, views, search_px);
-            fit = Some(self.step(model, &mut pose, scale_px / self.params.section_sigma_px)?);
+            let (search_px, scales_px) = if round == 0 { (2.5, [1.5, 0.5]) } else { (1.5, [0.7, 0.5]) };
+            self.look(model, &pose, views, search_px);
+            self.observe_outlines(model, search_px);
+            let (now, step) = self.solve(model, &mut pose, scales_px, REWEIGHTINGS)?;
+            fit = Some(now);
+            if self.shift(&step) < SETTLED_PX {
+                break;
+            }
         }
         fit
+    }
+
+    /// Moves the expected places by a step of the pose; gives the largest movement in pixels.
+    fn shift(&mut self, step: &Vector6<f64>) -> f64 {
+        let mut largest: f64 = 0.0;
+        for sighting in self.sightings.iter_mut().flatten().flatten() {
+            let moved = sighting.gradient.dot(step);
+            sighting.expected_px += sighting.across * moved;
+            if let Some(section) = &mut sighting.section {
+                section.low_px = section.low_px.map(|l| l - moved);
+                section.high_px = section.high_px.map(|h| h - moved);
+            }
+            largest = largest.max(moved.abs());
+        }
+        for end in self.ends.iter_mut().flatten().flatten() {
+            let moved = end.gradient.dot(step);
+            end.beyond_px = end.beyond_px.map(|b| b - moved);
+            largest = largest.max(moved.abs());
+        }
+        largest
+    }
+
+    fn look(&mut self, model: &PoseModel, pose: &Isometry3<f64>, views: &[View; 2], search_px: f64) {
+        let centre = pose * model.centre_mm;
+        let Self { sightings, params, eye, .. } = self;
+        sightings.clear();
+        for station in model.stations.iter().take(OBSERVATIONS_MAX) {
+            let (point, tangent) = (pose * station.position_mm, pose.rotation * station.tangent);
+            let lifted = lifted(params, eye, model.radius_mm, &point, &tangent);
+            sightings.push([0, 1].map(|side| {
+                let view = &views[side];
+                let aim = aim(model.radius_mm, &lifted, &tangent, view)?;
+                Some(Sighting {
+                    section: view.profiler.across(aim.px, aim.across, aim.half_width_px, search_px),
+                    object: view.mask.get(aim.px.x.round() as i32, aim.px.y.round() as i32),
+                    expected_px: aim.px,
+                    across: aim.across,
+                    half_width_px: aim.half_width_px,
+                    gradient: aim.gradient(&aim.across, &(point - centre)),
+                })
+            }));
+        }
+        self.look_at_ends(model, pose, views, search_px + 3.5);
+    }
+
+    fn look_at_ends(&mut self, model: &PoseModel, pose: &Isometry3<f64>, views: &[View; 2], search_px: f64) {
+        let centre = pose * model.centre_mm;
+        let Self { ends, params, eye, .. } = self;
+        ends.clear();
+        for end in &model.ends {
+            let (point, outward) = (pose * end.position_mm, pose.rotation * end.outward);
+            let lifted = lifted(params, eye, model.radius_mm, &point, &outward);
+            ends.push([0, 1].map(|side| {
+                let view = &views[side];
+                let aim = aim(model.radius_mm, &lifted, &outward, view)?;
+                let beyond_px = view
+                    .profiler
+                    .end(aim.px, aim.along, aim.half_width_px, search_px)
+                    .filter(|&beyond| end_is_bare(&aim, beyond, view))
+                    .map(|beyond| beyond + params.end_reach_radii * aim.half_width_px);
+                Some(EndSighting {
+                    beyond_px,
+                    expected_px: aim.px,
+                    gradient: aim.gradient(&aim.along, &(point - centre)),
+                })
+            }));
+        }
     }
 
     fn observe_masks(&mut self, model: &PoseModel, pose: &Isometry3<f64>, views: &[View; 2], search_px: f64) {
         self.observations.clear();
         let centre = pose * model.centre_mm;
-        for station in model.stations.iter().filter(|s| !s.at_joint) {
-            let (point, tangent) = (pose * station.position_mm, pose * station.tangent);
+        for station in model.stations.iter().step_by(COARSE_STRIDE).filter(|s| !s.at_joint) {
+            let (point, tangent) = (pose * station.position_mm, pose.rotation * station.tangent);
+            let lifted = lifted(&self.params, &self.eye, model.radius_mm, &point, &tangent);
             for view in views {
-                let Some(aim) = self.aim(model.radius_mm, &point, &tangent, view) else { continue };
-                let Some((middle, width)) = mask_run(view.mask, aim.px, aim.across, search_px) else {
-                    continue;
-                };
+                let Some(aim) = aim(model.radius_mm, &lifted, &tangent, view) else { continue };
+                let Some((middle, width)) = mask_run(view.mask, aim.px, aim.across, search_px) else { continue };
                 if width > 3.2 * aim.half_width_px + 1.0 {
                     continue;
                 }
-                self.push(
-                    aim.gradient(&aim.across, &(point - centre)),
-                    middle,
-                    2.0 * self.params.section_sigma_px,
-                    1.0,
-                );
+                let gradient = aim.gradient(&aim.across, &(point - centre));
+                self.push(gradient, middle, 2.0 * self.params.section_sigma_px, 1.0);
             }
         }
-        self.observe_ends(model, pose, views, search_px + 4.0);
+        self.look_at_ends(model, pose, views, search_px + 4.0);
+        self.observe_ends();
     }
 
-    fn observe_outlines(
-        &mut self,
-        model: &PoseModel,
-        pose: &Isometry3<f64>,
-        views: &[View; 2],
-        search_px: f64,
-    ) {
+    fn observe_outlines(&mut self, model: &PoseModel, search_px: f64) {
         self.observations.clear();
-        let centre = pose * model.centre_mm;
-        for station in model.stations.iter().filter(|s| !s.at_joint) {
-            let (point, tangent) = (pose * station.position_mm, pose * station.tangent);
-            for view in views {
-                let Some(aim) = self.aim(model.radius_mm, &point, &tangent, view) else { continue };
-                let Some(section) = view.profiler.across(aim.px, aim.across, aim.half_width_px, search_px)
-                else {
-                    continue;
-                };
-                let Some((middle, sigma)) = self.middle_of(&section, aim.half_width_px, search_px) else {
-                    continue;
-                };
-                self.push(aim.gradient(&aim.across, &(point - centre)), middle, sigma, 1.0);
+        for (k, station) in model.stations.iter().enumerate().take(self.sightings.len()) {
+            if station.at_joint {
+                continue;
+            }
+            for side in 0..2 {
+                let Some(sighting) = self.sightings[k][side] else { continue };
+                let Some(section) = sighting.section else { continue };
+                if let Some((middle, sigma)) = self.middle_of(&section, sighting.half_width_px, search_px) {
+                    self.push(sighting.gradient, middle, sigma, 1.0);
+                }
             }
         }
-        self.observe_ends(model, pose, views, search_px + 3.5);
+        self.observe_ends();
+    }
+
+    fn observe_ends(&mut self) {
+        for k in 0..self.ends.len() {
+            for side in 0..2 {
+                if let Some(EndSighting { beyond_px: Some(beyond), gradient, .. }) = self.ends[k][side] {
+                    self.push(gradient, beyond, self.params.end_sigma_px, END_PATIENCE);
+                }
+            }
+        }
     }
 
     /// Middle of the wire and its standard deviation from what is seen of its outline.
@@ -260,81 +315,61 @@ impl Refine {
         Some((middle, 4.0 * section_sigma_px))
     }
 
-    fn observe_ends(&mut self, model: &PoseModel, pose: &Isometry3<f64>, views: &[View; 2], search_px: f64) {
-        let centre = pose * model.centre_mm;
-        for end in &model.ends {
-            let (point, outward) = (pose * end.position_mm, pose * end.outward);
-            for view in views {
-                let Some(aim) = self.aim(model.radius_mm, &point, &outward, view) else { continue };
-                let Some(beyond) = view.profiler.end(aim.px, aim.along, aim.half_width_px, search_px) else {
-                    continue;
-                };
-                if !self.end_is_bare(&aim, beyond, view) {
-                    continue;
-                }
-                let beyond = beyond + self.params.end_reach_radii * aim.half_width_px;
-                self.push(
-                    aim.gradient(&aim.along, &(point - centre)),
-                    beyond,
-                    self.params.end_sigma_px,
-                    END_PATIENCE,
-                );
-            }
-        }
-    }
-
-    /// How far beyond the expected place a free end is seen in one picture, in pixels; `None` where something hides
-    /// it.
-    pub fn sight_end(
-        &self,
-        model: &PoseModel,
-        end: &super::model::FreeEnd,
-        left_from_part: &Isometry3<f64>,
-        view: &View,
-        search_px: f64,
-    ) -> Option<f64> {
-        let aim = self.aim(
-            model.radius_mm,
-            &(left_from_part * end.position_mm),
-            &(left_from_part * end.outward),
-            view,
-        )?;
-        let beyond = view.profiler.end(aim.px, aim.along, aim.half_width_px, search_px)?;
-        self.end_is_bare(&aim, beyond, view)
-            .then_some(beyond + self.params.end_reach_radii * aim.half_width_px)
-    }
-
-    /// Whether the wire just before an end seen `beyond` pixels beyond its expected place is as wide as one wire: an
-    /// end that lies on another wire is not where the bright region ends.
-    fn end_is_bare(&self, aim: &Aim, beyond: f64, view: &View) -> bool {
-        BARE_HALF_WIDTHS.iter().all(|&back| {
-            let at = aim.px + aim.along * (beyond - back * aim.half_width_px);
-            view.profiler
-                .across(at, aim.across, aim.half_width_px, 1.5)
-                .and_then(|s| s.middle_and_width())
-                .is_some_and(|(middle, width)| {
-                    width < 2.4 * aim.half_width_px && middle.abs() < 0.5 * aim.half_width_px + 1.0
-                })
-        })
-    }
-
     fn push(&mut self, gradient: Vector6<f64>, residual: f64, sigma: f64, patience: f64) {
         if self.observations.len() < OBSERVATIONS_MAX {
             self.observations.push(Observation { residual, gradient, sigma, patience });
         }
     }
 
-    /// One Gauss-Newton step; `scale` is the residual, in standard deviations, at which belief has halved.
-    fn step(&self, model: &PoseModel, pose: &mut Isometry3<f64>, scale: f64) -> Option<Fit> {
+    /// Solves for the step of the pose that explains the observations, reweighted `rounds` times while the residual
+    /// at which belief has halved goes from the first of `scales_px` to the second. Moves `pose`; gives the fit and
+    /// the step.
+    fn solve(
+        &mut self,
+        model: &PoseModel,
+        pose: &mut Isometry3<f64>,
+        scales_px: [f64; 2],
+        rounds: u32,
+    ) -> Option<(Fit, Vector6<f64>)> {
+        let along = model.straight_along.map(|a| pose.rotation * a);
+        let mut step = Vector6::<f64>::zeros();
+        let mut fit = None;
+        for round in 0..rounds {
+            let progress = f64::from(round) / f64::from(rounds.max(2) - 1);
+            let scale = (scales_px[0] + (scales_px[1] - scales_px[0]) * progress) / self.params.section_sigma_px;
+            let (now, covariance, misfit, believed) = self.weigh(along.as_ref(), &step, scale)?;
+            step = now;
+            fit = Some((covariance, misfit, believed));
+        }
+        let (covariance, misfit, believed) = fit?;
+        *pose = moved(pose, &model.centre_mm, &step);
+        Some((Fit { left_from_part: *pose, covariance, misfit, believed }, step))
+    }
+
+    /// The step that is best with the weights that the residuals after `step` earn.
+    fn weigh(
+        &self,
+        along: Option<&Vector3<f64>>,
+        step: &Vector6<f64>,
+        scale: f64,
+    ) -> Option<(Vector6<f64>, Matrix6<f64>, f64, usize)> {
         let mut normal = Matrix6::zeros();
         let mut right_side = Vector6::zeros();
         let (mut weights, mut squares, mut believed) = (0.0, 0.0, 0);
         for o in &self.observations {
-            let e = o.residual / o.sigma;
-            let weight = 1.0 / (1.0 + (e / (scale * o.patience)).powi(2)).powi(2);
-            let g = o.gradient / o.sigma;
-            normal += g * g.transpose() * weight;
-            right_side += g * (e * weight);
+            let e = (o.residual - o.gradient.dot(step)) / o.sigma;
+            let belief = 1.0 / (1.0 + (e / (scale * o.patience)).powi(2));
+            let weight = belief * belief;
+            let w = weight / (o.sigma * o.sigma);
+            let g = &o.gradient;
+            // The lower half is enough for the Cholesky decomposition.
+            for c in 0..6 {
+                let gc = g[c] * w;
+                for r in c..6 {
+                    normal[(r, c)] += g[r] * gc;
+                }
+                right_side[c] += gc * o.residual;
+            }
             weights += weight;
             squares += weight * e * e;
             believed += usize::from(weight > 0.5);
@@ -342,10 +377,12 @@ impl Refine {
         if believed < 6 {
             return None;
         }
-        if let Some(along) = model.straight_along {
-            let along = *pose * along;
-            let mut block = normal.fixed_view_mut::<3, 3>(3, 3);
-            block += along * along.transpose() * 1e6;
+        if let Some(a) = along {
+            for c in 0..3 {
+                for r in c..3 {
+                    normal[(3 + r, 3 + c)] += a[r] * a[c] * 1e6;
+                }
+            }
         }
         // What the pictures do not fix stays where it was: 5 mm, 0.2 rad.
         for i in 0..6 {
@@ -353,17 +390,58 @@ impl Refine {
         }
         let cholesky = normal.cholesky()?;
         let step = cholesky.solve(&right_side);
-        if !step.iter().all(|v| v.is_finite()) {
-            return None;
-        }
-        *pose = moved(pose, &model.centre_mm, &step);
-        Some(Fit {
-            left_from_part: *pose,
-            covariance: cholesky.inverse(),
-            misfit: (squares / weights).sqrt(),
-            believed,
-        })
+        let finite = step.iter().all(|v: &f64| v.is_finite());
+        finite.then(|| (step, cholesky.inverse(), (squares / weights).sqrt(), believed))
     }
+
+    /// Where a station is expected in one picture, without looking: place and direction across.
+    pub fn expect(
+        &self,
+        model: &PoseModel,
+        station: &super::model::Station,
+        pose: &Isometry3<f64>,
+        view: &View,
+    ) -> Option<(Vector2<f64>, Vector2<f64>)> {
+        let aim = aim(model.radius_mm, &(pose * station.position_mm), &(pose.rotation * station.tangent), view)?;
+        Some((aim.px, aim.across))
+    }
+
+    /// Looks for wire at a place where the part has none, and gives what it sees there.
+    pub fn look_beyond(
+        &self,
+        radius_mm: f64,
+        point: &Point3<f64>,
+        tangent: &Vector3<f64>,
+        view: &View,
+    ) -> Option<(Section, f64)> {
+        let lifted = lifted(&self.params, &self.eye, radius_mm, point, tangent);
+        let aim = aim(radius_mm, &lifted, tangent, view)?;
+        Some((view.profiler.across(aim.px, aim.across, aim.half_width_px, 1.0)?, aim.half_width_px))
+    }
+}
+
+/// The point whose picture the middle of the outline is: above the axis, towards the cameras, where the light is.
+fn lifted(
+    params: &Params,
+    eye: &Point3<f64>,
+    radius_mm: f64,
+    point: &Point3<f64>,
+    tangent: &Vector3<f64>,
+) -> Point3<f64> {
+    let to_eye = eye - point;
+    let across = to_eye - tangent * tangent.dot(&to_eye);
+    point + across * (params.lift_radii * radius_mm / across.norm().max(1e-9))
+}
+
+/// Whether the wire just before an end seen `beyond` pixels beyond its expected place is as wide as one wire: an
+/// end that lies on another wire is not where the bright region ends.
+fn end_is_bare(aim: &Aim, beyond: f64, view: &View) -> bool {
+    BARE_HALF_WIDTHS.iter().all(|&back| {
+        let at = aim.px + aim.along * (beyond - back * aim.half_width_px);
+        view.profiler.across(at, aim.across, aim.half_width_px, 1.5).and_then(|s| s.middle_and_width()).is_some_and(
+            |(middle, width)| width < 2.4 * aim.half_width_px && middle.abs() < 0.5 * aim.half_width_px + 1.0,
+        )
+    })
 }
 
 /// `pose`, displaced and turned about the part's centre by a small twist in the left camera's axes.
@@ -388,17 +466,16 @@ struct Aim {
 impl Aim {
     /// Gradient of the pixel's movement along `direction` by displacement and rotation about a centre `arm` away.
     fn gradient(&self, direction: &Vector2<f64>, arm: &Vector3<f64>) -> Vector6<f64> {
-        let row: RowVector3<f64> = direction.transpose() * self.jacobian;
-        let force = row.transpose();
+        let force: Vector3<f64> = self.jacobian.tr_mul(direction);
         let torque = arm.cross(&force);
         Vector6::new(force.x, force.y, force.z, torque.x, torque.y, torque.z)
     }
 }
 
 fn aim(radius_mm: f64, point: &Point3<f64>, tangent: &Vector3<f64>, view: &View) -> Option<Aim> {
-    let in_camera = view.camera_from_left * point;
+    let in_camera = Point3::from(view.rotation * point.coords + view.camera_from_left.translation.vector);
     let (px, jacobian) = view.camera.project_with_jacobian(&in_camera)?;
-    let jacobian = jacobian * view.camera_from_left.rotation.to_rotation_matrix().matrix();
+    let jacobian = jacobian * view.rotation;
     let along = jacobian * tangent;
     let norm = along.norm();
     if norm < 1e-6 {
@@ -407,6 +484,6 @@ fn aim(radius_mm: f64, point: &Point3<f64>, tangent: &Vector3<f64>, view: &View)
     let along = along / norm;
     let across = Vector2::new(-along.y, along.x);
     // A radius at right angles to the line of sight, as many pixels as the picture moves across the wire.
-    let half_width_px = radius_mm * (across.transpose() * jacobian).norm();
+    let half_width_px = radius_mm * jacobian.tr_mul(&across).norm();
     Some(Aim { px, along, across, half_width_px, jacobian })
 }

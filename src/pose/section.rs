@@ -3,13 +3,15 @@
 //! A profile of grey values across the wire falls from the wire's level to the background's on both sides; the
 //! outline is taken where it has fallen half the way.
 
+use std::ops::Range;
+
 use nalgebra::Vector2;
 
 use crate::frame::LumaView;
 use crate::vision::bits::BitImage;
 
-/// Samples a pixel along a profile.
-const SAMPLES_PER_PX: f64 = 2.0;
+/// Samples a pixel along the profile of an end.
+const SAMPLES_PER_PX: f64 = 1.0;
 const SAMPLES_MAX: usize = 96;
 
 /// The outline of a wire along a line across it, as signed distances in pixels from the line's origin.
@@ -19,10 +21,6 @@ pub struct Section {
     pub low_px: Option<f64>,
     /// The outline on the positive side.
     pub high_px: Option<f64>,
-    /// Highest grey level of the wire (lowest for dark parts), 0..255.
-    pub level: f64,
-    /// Background grey level, the mean of both sides.
-    pub background: f64,
 }
 
 impl Section {
@@ -60,6 +58,9 @@ impl<'a> Profiler<'a> {
     /// The outline of the wire whose middle is expected within `search_px` of `origin`, along the unit vector
     /// `across`, with a half width of about `half_width_px`. `None` where the profile leaves the picture or shows
     /// no wire.
+    ///
+    /// Pixels are read along the row or column through the wire that is nearer to `across`; distances along it are
+    /// turned into distances across a straight wire.
     pub fn across(
         &self,
         origin: Vector2<f64>,
@@ -67,41 +68,34 @@ impl<'a> Profiler<'a> {
         half_width_px: f64,
         search_px: f64,
     ) -> Option<Section> {
-        let reach_px = (half_width_px + search_px + 4.0).min((SAMPLES_MAX / 2 - 1) as f64 / SAMPLES_PER_PX);
-        let half = (reach_px * SAMPLES_PER_PX) as usize;
-        let mut profile = [0.0; SAMPLES_MAX];
-        for (i, p) in profile[..=2 * half].iter_mut().enumerate() {
-            *p = self.sample(origin + across * ((i as f64 - half as f64) / SAMPLES_PER_PX))?;
+        let down = across.x.abs() < across.y.abs();
+        let (cos, sin) = if down { (across.y, across.x) } else { (across.x, across.y) };
+        let (along_line, beside_line) = if down { (origin.y, origin.x) } else { (origin.x, origin.y) };
+        let line = beside_line.round();
+        // Where the wire's middle crosses the row or column.
+        let centre = along_line - (line - beside_line) * sin / cos;
+        let scale = cos.abs();
+        let px = |t: f64| t / scale;
+        let half = (px(half_width_px + search_px + 4.0).ceil() as usize).min((SAMPLES_MAX - 1) / 2);
+        let first = centre.round() - half as f64;
+        let (length, lines) = if down { (self.luma.height(), self.luma.width()) } else { (self.luma.width(), self.luma.height()) };
+        if !(first >= 0.0 && first + 2.0 * half as f64 + 1.0 <= length as f64 && line >= 0.0 && line < lines as f64) {
+            return None;
         }
-        let profile = &profile[..=2 * half];
-        let window = (((search_px + 0.5 * half_width_px) * SAMPLES_PER_PX) as usize).min(half);
-        let peak = (half - window..=half + window).max_by(|&a, &b| profile[a].total_cmp(&profile[b]))?;
-        let level = profile[peak];
-        let span = ((2.0 * half_width_px + 3.0) * SAMPLES_PER_PX) as usize;
-        let low_end = peak.saturating_sub(span);
-        let high_end = (peak + span).min(2 * half);
-        let floor_low = profile[low_end..=peak].iter().copied().fold(f64::INFINITY, f64::min);
-        let floor_high = profile[peak..=high_end].iter().copied().fold(f64::INFINITY, f64::min);
-        let fallen = |floor: f64| level - floor >= self.contrast_min;
-        let mut section = Section {
-            level: self.sign * level,
-            background: self.sign * (floor_low + floor_high) / 2.0,
-            ..Section::default()
-        };
-        let to_px = |i: usize, j: usize, at: f64| {
-            // Between sample i (above) and its neighbour j (at or below the level `at`).
-            let f = (profile[i] - at) / (profile[i] - profile[j]);
-            (i as f64 + (j as f64 - i as f64) * f - half as f64) / SAMPLES_PER_PX
-        };
-        if fallen(floor_low) {
-            let at = (level + floor_low) / 2.0;
-            section.low_px = (low_end..peak).rev().find(|&i| profile[i] <= at).map(|i| to_px(i + 1, i, at));
+        let mut bytes = [0u8; SAMPLES_MAX];
+        let bytes = &mut bytes[..=2 * half];
+        let (x, y) = if down { (line, first) } else { (first, line) };
+        self.luma.read_line(x as usize, y as usize, down, bytes);
+        if self.sign < 0.0 {
+            bytes.iter_mut().for_each(|b| *b = 255 - *b);
         }
-        if fallen(floor_high) {
-            let at = (level + floor_high) / 2.0;
-            section.high_px = (peak + 1..=high_end).find(|&i| profile[i] <= at).map(|i| to_px(i - 1, i, at));
-        }
-        (section.low_px.is_some() || section.high_px.is_some()).then_some(section)
+        let window = (px(search_px + 0.5 * half_width_px) as usize).min(half);
+        let span = px(2.0 * half_width_px + 3.0) as usize;
+        let fall = outline(bytes, half - window..half + window + 1, span, self.contrast_min)?;
+        let to_px = |at: f64| (first + at - centre) * scale;
+        let (low, high) = (fall.low.map(to_px), fall.high.map(to_px));
+        let (low_px, high_px) = if cos < 0.0 { (high.map(|h| -h), low.map(|l| -l)) } else { (low, high) };
+        Some(Section { low_px, high_px })
     }
 
     /// How far beyond `end` (in pixels, negative: before) the wire ends, along the unit vector `outward`, where
@@ -135,6 +129,41 @@ impl<'a> Profiler<'a> {
         let px = (i as f64 - 1.0 + f) / SAMPLES_PER_PX - inside_px;
         (px.abs() <= search_px).then_some(px)
     }
+}
+
+/// Where a profile has fallen half the way on both sides of its peak, in samples.
+struct Fall {
+    low: Option<f64>,
+    high: Option<f64>,
+}
+
+/// Finds the peak of `profile` within `window` and where it has fallen half the way to the lowest value within `span`
+/// samples, on each side where that is at least `contrast_min` lower.
+fn outline(profile: &[u8], window: Range<usize>, span: usize, contrast_min: f64) -> Option<Fall> {
+    let mut peak = window.start;
+    for i in window {
+        if profile[i] > profile[peak] {
+            peak = i;
+        }
+    }
+    let level = f64::from(profile[peak]);
+    let half_way = |floor: u8| (level - f64::from(floor) >= contrast_min).then(|| (level + f64::from(floor)) / 2.0);
+    // Between a sample above and its neighbour at or below the level `at`.
+    let crossing = |above: usize, below: usize, at: f64| {
+        let (a, b) = (f64::from(profile[above]), f64::from(profile[below]));
+        above as f64 + (below as f64 - above as f64) * (a - at) / (a - b)
+    };
+    let low_end = peak.saturating_sub(span);
+    let low = half_way(*profile[low_end..=peak].iter().min()?).and_then(|at| {
+        let below = (low_end..peak).rev().find(|&i| f64::from(profile[i]) <= at)?;
+        Some(crossing(below + 1, below, at))
+    });
+    let high_end = (peak + span).min(profile.len() - 1);
+    let high = half_way(*profile[peak..=high_end].iter().min()?).and_then(|at| {
+        let below = (peak + 1..=high_end).find(|&i| f64::from(profile[i]) <= at)?;
+        Some(crossing(below - 1, below, at))
+    });
+    (low.is_some() || high.is_some()).then_some(Fall { low, high })
 }
 
 /// Middle and width of the run of object pixels nearest to `origin` along `across`, looked for up to `search_px`
