@@ -427,13 +427,13 @@ impl Recognizer {
             });
             if takes_taken_end
                 || is_explained(refine, prepared, hypothesis, &views, claims)
-                || prepared.is_among(&explanations[..*explained], hypothesis.part, &hypothesis.left_from_part, 2.0)
+                || prepared.is_among(&explanations[..*explained], hypothesis, &hypothesis.left_from_part, SAME_ROUGH_MM)
             {
                 continue;
             }
             let Some(fit) = refine.run(&prepared.pose_model, &hypothesis.left_from_part, &views) else { continue };
             if prepared.slope_sin(&fit.left_from_part, &down) > slope_sin_max
-                || prepared.is_among(&explanations[..*explained], hypothesis.part, &fit.left_from_part, 1.0)
+                || prepared.is_among(&explanations[..*explained], hypothesis, &fit.left_from_part, [SAME_MM; 2])
             {
                 continue;
             }
@@ -596,6 +596,10 @@ impl Recognizer {
     }
 }
 
+/// Two refined poses nearer than this are one.
+const SAME_MM: f64 = 1.0;
+/// A rough pose this near to a refined one would lead to it: where that is doubtful, where it is sound.
+const SAME_ROUGH_MM: [f64; 2] = [2.0, 8.0];
 /// Distance in pixels within which an image node is a part's end.
 const SAME_END_PX: f64 = 5.0;
 
@@ -649,6 +653,9 @@ fn views<'a>(
 /// Grey levels between wire and background from which an outline is believed.
 const CONTRAST_MIN: f64 = 12.0;
 
+/// Errors of neighbouring sections are alike (shading), so that their mean errs more than if they were not.
+const SIGMA_SCALE: f64 = 1.25;
+
 /// Standard deviations of the grasp's position (along the output frame's axes) and of the wire's direction there.
 fn sigmas(params: &grasp::Params, prepared: &Prepared, fit: &Fit) -> (Vector3<f64>, f64) {
     let pose = &fit.left_from_part;
@@ -664,7 +671,9 @@ fn sigmas(params: &grasp::Params, prepared: &Prepared, fit: &Fit) -> (Vector3<f6
     let wire = pose * prepared.part.grasp.approach.cross(&prepared.part.grasp.closing);
     let across = wire.cross_matrix();
     let axis = across * turn * across.transpose();
-    (turned.diagonal().map(|v| v.max(0.0).sqrt()), (axis.trace() / 2.0).max(0.0).sqrt())
+    // Measurements that agree worse than assumed are worth less.
+    let scale = SIGMA_SCALE * fit.misfit.max(1.0);
+    (turned.diagonal().map(|v| v.max(0.0).sqrt() * scale), (axis.trace() / 2.0).max(0.0).sqrt() * scale)
 }
 
 impl Prepared {
@@ -685,11 +694,21 @@ impl Prepared {
         self.match_model.anchors.iter().flat_map(|a| a.legs.iter().map(slope)).fold(0.0, f64::max)
     }
 
-    /// Whether an explanation of this part lies within `distance_mm` of a pose.
-    fn is_among(&self, explanations: &[Explanation], part: usize, pose: &Isometry3<f64>, distance_mm: f64) -> bool {
-        explanations
-            .iter()
-            .any(|e| e.hypothesis.part == part && self.distance_mm(&e.fit.left_from_part, pose) < distance_mm)
+    /// Whether an explanation of this part lies near a pose: nearer than the first distance in mm, or the second
+    /// where nothing speaks against the explanation.
+    fn is_among(
+        &self,
+        explanations: &[Explanation],
+        hypothesis: &Hypothesis,
+        pose: &Isometry3<f64>,
+        near_mm: [f64; 2],
+    ) -> bool {
+        explanations.iter().any(|e| {
+            e.hypothesis.part == hypothesis.part && {
+                let near_mm = near_mm[select::is_sound(&e.fit, &e.verdict) as usize];
+                self.distance_mm(&e.fit.left_from_part, pose) < near_mm
+            }
+        })
     }
 
     /// Mean distance of the part's nodes and bends between two poses, under the symmetry that makes it least.

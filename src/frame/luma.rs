@@ -126,6 +126,16 @@ impl<'a> LumaView<'a> {
         let y = y.max(0.0).min((self.height - 1) as f32);
         let (x0, y0) = (x as usize, y as usize);
         let (fx, fy) = (x - x0 as f32, y - y0 as f32);
+        if let (Reading::Weighted(w), true) = (self.reading, x0 + 1 < self.width && y0 + 1 < self.height) {
+            let weigh = |p: &[u8], k: usize| {
+                (i32::from(p[k]) * w[0] + i32::from(p[k + 1]) * w[1] + i32::from(p[k + 2]) * w[2]) as f32
+            };
+            let begin = y0 * self.stride + 3 * x0;
+            let (above, below) = (&self.bytes[begin..begin + 6], &self.bytes[begin + self.stride..][..6]);
+            let upper = weigh(above, 0) + fx * (weigh(above, 3) - weigh(above, 0));
+            let lower = weigh(below, 0) + fx * (weigh(below, 3) - weigh(below, 0));
+            return (upper + fy * (lower - upper)) * (1.0 / (1 << colour::LUMA_SHIFT) as f32);
+        }
         let at = |dx, dy| f32::from(self.at(x0 + dx, y0 + dy));
         let upper = at(0, 0) + fx * (at(1, 0) - at(0, 0));
         let lower = at(0, 1) + fx * (at(1, 1) - at(0, 1));

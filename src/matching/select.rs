@@ -151,6 +151,16 @@ pub fn is_certain(fit: &Fit, verdict: &Verdict, ends: usize) -> bool {
         && fit.misfit < 1.2
 }
 
+/// Whether nothing speaks against an explanation, though not all of it may be seen.
+pub fn is_sound(fit: &Fit, verdict: &Verdict) -> bool {
+    verdict.ends_seen >= 2
+        && verdict.end_offset_px < 1.0
+        && verdict.missing.iter().all(|m| *m < 0.02)
+        && verdict.overrun_mm == 0.0
+        && verdict.offset_px < 0.4
+        && fit.misfit < 1.5
+}
+
 /// What an explanation is worth in mm of wire, given what is claimed; `None` where it does not stand.
 pub fn worth_mm(
     params: &Params,

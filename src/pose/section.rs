@@ -10,9 +10,10 @@ use nalgebra::Vector2;
 use crate::frame::LumaView;
 use crate::vision::bits::BitImage;
 
-/// Samples a pixel along the profile of an end.
-const SAMPLES_PER_PX: f64 = 1.0;
+
 const SAMPLES_MAX: usize = 96;
+/// How bright it may be behind an end, from floor (0) to wire (1).
+const BEHIND_END_MAX: f64 = 0.35;
 
 /// The outline of a wire along a line across it, as signed distances in pixels from the line's origin.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -71,13 +72,13 @@ impl<'a> Profiler<'a> {
         let down = across.x.abs() < across.y.abs();
         let (cos, sin) = if down { (across.y, across.x) } else { (across.x, across.y) };
         let (along_line, beside_line) = if down { (origin.y, origin.x) } else { (origin.x, origin.y) };
-        let line = beside_line.round();
+        let line = f64::from(nearest(beside_line));
         // Where the wire's middle crosses the row or column.
         let centre = along_line - (line - beside_line) * sin / cos;
         let scale = cos.abs();
         let px = |t: f64| t / scale;
-        let half = (px(half_width_px + search_px + 4.0).ceil() as usize).min((SAMPLES_MAX - 1) / 2);
-        let first = centre.round() - half as f64;
+        let half = (px(half_width_px + search_px + 4.0) as usize + 1).min((SAMPLES_MAX - 1) / 2);
+        let first = f64::from(nearest(centre) - half as i32);
         let (length, lines) = if down { (self.luma.height(), self.luma.width()) } else { (self.luma.width(), self.luma.height()) };
         if !(first >= 0.0 && first + 2.0 * half as f64 + 1.0 <= length as f64 && line >= 0.0 && line < lines as f64) {
             return None;
@@ -99,25 +100,32 @@ impl<'a> Profiler<'a> {
     }
 
     /// How far beyond `end` (in pixels, negative: before) the wire ends, along the unit vector `outward`, where
-    /// it ends within `search_px` against the background; averaged over rays side by side.
+    /// it ends within `search_px` against the background; averaged over `rays` side by side, given
+    /// by their distances from the middle in half widths.
     pub fn end(
         &self,
         end: Vector2<f64>,
         outward: Vector2<f64>,
         half_width_px: f64,
         search_px: f64,
+        rays: &[f64],
     ) -> Option<f64> {
+        // One ray is a quick look.
+        let samples_per_px = if rays.len() > 1 { 2.0 } else { 1.0 };
         let inside_px = (3.0 * half_width_px).max(search_px + 2.0);
-        let outside_px = search_px + 4.0;
-        let count = (((inside_px + outside_px) * SAMPLES_PER_PX) as usize + 1).min(SAMPLES_MAX);
+        let outside_px = search_px + 4.5;
+        let count = (((inside_px + outside_px) * samples_per_px) as usize + 1).min(SAMPLES_MAX);
         let side = Vector2::new(-outward.y, outward.x) * half_width_px;
         let mut profile = [0.0; SAMPLES_MAX];
         for (i, p) in profile[..count].iter_mut().enumerate() {
-            let at = end + outward * (i as f64 / SAMPLES_PER_PX - inside_px);
-            *p = (self.sample(at - side * 0.4)? + self.sample(at)? + self.sample(at + side * 0.4)?) / 3.0;
+            let at = end + outward * (i as f64 / samples_per_px - inside_px);
+            for ray in rays {
+                *p += self.sample(at + side * *ray)?;
+            }
+            *p /= rays.len() as f64;
         }
         let profile = &profile[..count];
-        let well_inside = ((inside_px - search_px - 1.0).max(1.0) * SAMPLES_PER_PX) as usize;
+        let well_inside = ((inside_px - search_px - 1.0).max(1.0) * samples_per_px) as usize;
         let level = profile[..well_inside].iter().sum::<f64>() / well_inside as f64;
         let floor = profile[well_inside..].iter().copied().fold(f64::INFINITY, f64::min);
         if level - floor < self.contrast_min {
@@ -126,7 +134,13 @@ impl<'a> Profiler<'a> {
         let at = (level + floor) / 2.0;
         let i = (well_inside..count).find(|&i| profile[i] <= at)?;
         let f = (profile[i - 1] - at) / (profile[i - 1] - profile[i]);
-        let px = (i as f64 - 1.0 + f) / SAMPLES_PER_PX - inside_px;
+        // Behind an end is floor; a dark seam with another wire behind it is none.
+        let behind = (i + (1.0 * samples_per_px) as usize).min(count)..(i + (4.0 * samples_per_px) as usize).min(count);
+        let bright = floor + BEHIND_END_MAX * (level - floor);
+        if profile[behind].iter().any(|&v| v > bright) {
+            return None;
+        }
+        let px = (i as f64 - 1.0 + f) / samples_per_px - inside_px;
         (px.abs() <= search_px).then_some(px)
     }
 }
@@ -166,6 +180,13 @@ fn outline(profile: &[u8], window: Range<usize>, span: usize, contrast_min: f64)
     (low.is_some() || high.is_some()).then_some(Fall { low, high })
 }
 
+/// The nearest pixel. `f64::round` is a function call on processors without SSE 4.1, which the program may run on.
+#[inline]
+pub fn nearest(px: f64) -> i32 {
+    const ABOVE_ZERO: i32 = 1 << 20;
+    (px + (f64::from(ABOVE_ZERO) + 0.5)) as i32 - ABOVE_ZERO
+}
+
 /// Middle and width of the run of object pixels nearest to `origin` along `across`, looked for up to `search_px`
 /// away; `None` where there is none.
 pub fn mask_run(
@@ -176,7 +197,7 @@ pub fn mask_run(
 ) -> Option<(f64, f64)> {
     let object = |t: i32| {
         let p = origin + across * (t as f64);
-        mask.get(p.x.round() as i32, p.y.round() as i32)
+        mask.get(nearest(p.x), nearest(p.y))
     };
     let search = search_px as i32;
     let start =
