@@ -407,8 +407,20 @@ impl Recognizer {
     fn explain(&mut self, pair: &FramePair) {
         self.explained = 0;
         self.claims.iter_mut().for_each(ClaimMap::clear);
-        let Self { pictures, rig, parts, pool, refine, explanations, explained, claims, gate, ends_taken, params, .. } =
-            self;
+        let Self {
+            pictures,
+            rig,
+            parts,
+            pool,
+            refine,
+            explanations,
+            explained,
+            claims,
+            gate,
+            ends_taken,
+            params,
+            ..
+        } = self;
         let Some(views) = views(pictures, rig, pair, params) else { return };
         for (taken, picture) in ends_taken.iter_mut().zip(pictures.iter()) {
             taken.clear();
@@ -427,13 +439,25 @@ impl Recognizer {
             });
             if takes_taken_end
                 || is_explained(refine, prepared, hypothesis, &views, claims)
-                || prepared.is_among(&explanations[..*explained], hypothesis, &hypothesis.left_from_part, SAME_ROUGH_MM)
+                || prepared.is_among(
+                    &explanations[..*explained],
+                    hypothesis,
+                    &hypothesis.left_from_part,
+                    SAME_ROUGH_MM,
+                )
             {
                 continue;
             }
-            let Some(fit) = refine.run(&prepared.pose_model, &hypothesis.left_from_part, &views) else { continue };
+            let Some(fit) = refine.run(&prepared.pose_model, &hypothesis.left_from_part, &views) else {
+                continue;
+            };
             if prepared.slope_sin(&fit.left_from_part, &down) > slope_sin_max
-                || prepared.is_among(&explanations[..*explained], hypothesis, &fit.left_from_part, [SAME_MM; 2])
+                || prepared.is_among(
+                    &explanations[..*explained],
+                    hypothesis,
+                    &fit.left_from_part,
+                    [SAME_MM; 2],
+                )
             {
                 continue;
             }
@@ -535,8 +559,7 @@ impl Recognizer {
         let nodes = prepared.part.nodes.iter().enumerate().map(|(n, node)| {
             let left_mm = pose * node.position_mm;
             let anchor = prepared.match_model.anchors.iter().position(|a| a.node == Some(n));
-            let matched =
-                anchor.is_some_and(|a| e.hypothesis.nodes[a] != UNMATCHED);
+            let matched = anchor.is_some_and(|a| e.hypothesis.nodes[a] != UNMATCHED);
             FoundNode {
                 left_mm,
                 left_px: self.rig.project_left(&left_mm).unwrap_or_default(),

@@ -101,7 +101,10 @@ impl<'a> LumaView<'a> {
     pub fn read_line(&self, x: usize, y: usize, down: bool, out: &mut [u8]) {
         let count = out.len();
         let (dx, dy) = if down { (0, 1) } else { (1, 0) };
-        assert!(x + dx * count <= self.width + (1 - dx) && y + dy * count <= self.height + (1 - dy), "line in picture");
+        assert!(
+            x + dx * count <= self.width + (1 - dx) && y + dy * count <= self.height + (1 - dy),
+            "line in picture"
+        );
         if let Reading::Weighted(w) = self.reading {
             let step = if down { self.stride } else { 3 };
             let begin = y * self.stride + 3 * x;

@@ -10,7 +10,9 @@
 //! [`Params::end_lift_radii`] for ends. Both were measured on rendered scenes of seven rigs, over which they differ
 //! by 0.07 and 0.1 radii.
 
-use nalgebra::{Isometry3, Matrix2x3, Matrix3, Matrix6, Point3, Rotation3, Translation3, Vector2, Vector3, Vector6};
+use nalgebra::{
+    Isometry3, Matrix2x3, Matrix3, Matrix6, Point3, Rotation3, Translation3, Vector2, Vector3, Vector6,
+};
 
 use super::model::PoseModel;
 use super::section::{Profiler, Section, mask_run, nearest};
@@ -228,7 +230,14 @@ impl Refine {
         self.look_at_ends(model, pose, views, search_px + 3.5, &END_RAYS);
     }
 
-    fn look_at_ends(&mut self, model: &PoseModel, pose: &Isometry3<f64>, views: &[View; 2], search_px: f64, rays: &[f64]) {
+    fn look_at_ends(
+        &mut self,
+        model: &PoseModel,
+        pose: &Isometry3<f64>,
+        views: &[View; 2],
+        search_px: f64,
+        rays: &[f64],
+    ) {
         let centre = pose * model.centre_mm;
         let Self { ends, params, eye, .. } = self;
         ends.clear();
@@ -260,7 +269,9 @@ impl Refine {
             let lifted = lifted(self.params.lift_radii, &self.eye, model.radius_mm, &point, &tangent);
             for view in views {
                 let Some(aim) = aim(model.radius_mm, &lifted, &tangent, view) else { continue };
-                let Some((middle, width)) = mask_run(view.mask, aim.px, aim.across, search_px) else { continue };
+                let Some((middle, width)) = mask_run(view.mask, aim.px, aim.across, search_px) else {
+                    continue;
+                };
                 if width > 3.2 * aim.half_width_px + 1.0 {
                     continue;
                 }
@@ -343,7 +354,8 @@ impl Refine {
         let mut fit = None;
         for round in 0..rounds {
             let progress = f64::from(round) / f64::from(rounds.max(2) - 1);
-            let scale = (scales_px[0] + (scales_px[1] - scales_px[0]) * progress) / self.params.section_sigma_px;
+            let scale =
+                (scales_px[0] + (scales_px[1] - scales_px[0]) * progress) / self.params.section_sigma_px;
             let (now, covariance, misfit, believed) = self.weigh(along.as_ref(), &step, scale)?;
             step = now;
             fit = Some((covariance, misfit, believed));
@@ -409,7 +421,8 @@ impl Refine {
         pose: &Isometry3<f64>,
         view: &View,
     ) -> Option<(Vector2<f64>, Vector2<f64>)> {
-        let aim = aim(model.radius_mm, &(pose * station.position_mm), &(pose.rotation * station.tangent), view)?;
+        let aim =
+            aim(model.radius_mm, &(pose * station.position_mm), &(pose.rotation * station.tangent), view)?;
         Some((aim.px, aim.across))
     }
 
@@ -445,9 +458,12 @@ fn lifted(
 fn end_is_bare(aim: &Aim, beyond: f64, view: &View) -> bool {
     BARE_HALF_WIDTHS.iter().all(|&back| {
         let at = aim.px + aim.along * (beyond - back * aim.half_width_px);
-        view.profiler.across(at, aim.across, aim.half_width_px, 1.5).and_then(|s| s.middle_and_width()).is_some_and(
-            |(middle, width)| width < 2.4 * aim.half_width_px && middle.abs() < 0.5 * aim.half_width_px + 1.0,
-        )
+        view.profiler
+            .across(at, aim.across, aim.half_width_px, 1.5)
+            .and_then(|s| s.middle_and_width())
+            .is_some_and(|(middle, width)| {
+                width < 2.4 * aim.half_width_px && middle.abs() < 0.5 * aim.half_width_px + 1.0
+            })
     })
 }
 

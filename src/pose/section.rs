@@ -10,7 +10,6 @@ use nalgebra::Vector2;
 use crate::frame::LumaView;
 use crate::vision::bits::BitImage;
 
-
 const SAMPLES_MAX: usize = 96;
 /// How bright it may be behind an end, from floor (0) to wire (1).
 const BEHIND_END_MAX: f64 = 0.35;
@@ -79,8 +78,16 @@ impl<'a> Profiler<'a> {
         let px = |t: f64| t / scale;
         let half = (px(half_width_px + search_px + 4.0) as usize + 1).min((SAMPLES_MAX - 1) / 2);
         let first = f64::from(nearest(centre) - half as i32);
-        let (length, lines) = if down { (self.luma.height(), self.luma.width()) } else { (self.luma.width(), self.luma.height()) };
-        if !(first >= 0.0 && first + 2.0 * half as f64 + 1.0 <= length as f64 && line >= 0.0 && line < lines as f64) {
+        let (length, lines) = if down {
+            (self.luma.height(), self.luma.width())
+        } else {
+            (self.luma.width(), self.luma.height())
+        };
+        if !(first >= 0.0
+            && first + 2.0 * half as f64 + 1.0 <= length as f64
+            && line >= 0.0
+            && line < lines as f64)
+        {
             return None;
         }
         let mut bytes = [0u8; SAMPLES_MAX];
@@ -135,7 +142,8 @@ impl<'a> Profiler<'a> {
         let i = (well_inside..count).find(|&i| profile[i] <= at)?;
         let f = (profile[i - 1] - at) / (profile[i - 1] - profile[i]);
         // Behind an end is floor; a dark seam with another wire behind it is none.
-        let behind = (i + (1.0 * samples_per_px) as usize).min(count)..(i + (4.0 * samples_per_px) as usize).min(count);
+        let behind = (i + (1.0 * samples_per_px) as usize).min(count)
+            ..(i + (4.0 * samples_per_px) as usize).min(count);
         let bright = floor + BEHIND_END_MAX * (level - floor);
         if profile[behind].iter().any(|&v| v > bright) {
             return None;
@@ -161,7 +169,8 @@ fn outline(profile: &[u8], window: Range<usize>, span: usize, contrast_min: f64)
         }
     }
     let level = f64::from(profile[peak]);
-    let half_way = |floor: u8| (level - f64::from(floor) >= contrast_min).then(|| (level + f64::from(floor)) / 2.0);
+    let half_way =
+        |floor: u8| (level - f64::from(floor) >= contrast_min).then(|| (level + f64::from(floor)) / 2.0);
     // Between a sample above and its neighbour at or below the level `at`.
     let crossing = |above: usize, below: usize, at: f64| {
         let (a, b) = (f64::from(profile[above]), f64::from(profile[below]));

@@ -145,7 +145,13 @@ fn judge_ends(refine: &Refine, verdict: &mut Verdict) {
 }
 
 /// How far clean wire goes on beyond a stop, in both pictures.
-fn overrun_mm(refine: &Refine, model: &PoseModel, stop: &Stop, pose: &Isometry3<f64>, views: &[View; 2]) -> f64 {
+fn overrun_mm(
+    refine: &Refine,
+    model: &PoseModel,
+    stop: &Stop,
+    pose: &Isometry3<f64>,
+    views: &[View; 2],
+) -> f64 {
     let onward = pose.rotation * stop.onward;
     let place = pose * stop.position_mm;
     let clean = |beyond: f64, view: &View| {
