@@ -145,46 +145,91 @@ impl<'a> LumaView<'a> {
         upper + fy * (lower - upper)
     }
 
-    /// [`LumaView::sample`] at `N` places, `step` apart, the first at `from`; RGB and grey bytes are not rounded to
-    /// whole levels in between.
+    /// [`LumaView::sample`] at `N` places, `step` apart, the first at `from`; places are rounded to 1/256 pixel, RGB
+    /// and grey bytes not to whole levels.
     #[inline]
     pub fn profile<const N: usize>(&self, from: [f32; 2], step: [f32; 2]) -> [f32; N] {
         let place = |i: usize| [from[0] + i as f32 * step[0], from[1] + i as f32 * step[1]];
         let inside = |p: [f32; 2]| {
-            p[0] >= 0.0 && p[1] >= 0.0 && p[0] < (self.width - 1) as f32 && p[1] < (self.height - 1) as f32
+            p[0] >= 1.0 && p[1] >= 1.0 && p[0] < (self.width - 2) as f32 && p[1] < (self.height - 2) as f32
         };
-        let whole = N > 0 && inside(from) && inside(place(N - 1));
+        let whole = N > 0 && self.width > 2 && self.height > 2 && inside(from) && inside(place(N - 1));
         match self.reading {
-            Reading::Weighted([r, g, b]) if whole => std::array::from_fn(|i| {
-                let light = |p: &[u8], at: usize| {
-                    (i32::from(p[at]) * r + i32::from(p[at + 1]) * g + i32::from(p[at + 2]) * b) as f32
+            Reading::Weighted([r, g, b]) if whole => {
+                let light = |p: &[u8; 6], at: usize| {
+                    i32::from(p[at]) * r + i32::from(p[at + 1]) * g + i32::from(p[at + 2]) * b
                 };
-                let sum = self.between::<6>(place(i), 3, |p| (light(p, 0), light(p, 3)));
-                sum * (1.0 / (1 << colour::LUMA_SHIFT) as f32)
-            }),
-            Reading::Plain { step: 1 } if whole => std::array::from_fn(|i| {
-                self.between::<2>(place(i), 1, |p| (f32::from(p[0]), f32::from(p[1])))
-            }),
-            _ => std::array::from_fn(|i| self.sample(place(i)[0], place(i)[1])),
+                self.profile_inside(from, step, 3, colour::LUMA_SHIFT, |p| [light(p, 0), light(p, 3)])
+            }
+            Reading::Plain { step: 1 } if whole => {
+                self.profile_inside::<N, 2>(from, step, 1, 0, |p| [i32::from(p[0]), i32::from(p[1])])
+            }
+            _ => {
+                let mut values = [0.0; N];
+                for (i, value) in values.iter_mut().enumerate() {
+                    *value = self.sample(place(i)[0], place(i)[1]);
+                }
+                values
+            }
         }
     }
 
-    /// Bilinear between two pixels of a row, `LENGTH` bytes together, and the two below.
-    #[inline]
-    fn between<const LENGTH: usize>(
+    /// Bilinear in whole numbers; `pair` makes the luma of two neighbours, times `1 << shift`, from their bytes.
+    #[inline(always)]
+    fn profile_inside<const N: usize, const BYTES: usize>(
         &self,
-        [x, y]: [f32; 2],
+        from: [f32; 2],
+        step: [f32; 2],
         bytes_a_pixel: usize,
-        pair: impl Fn(&[u8; LENGTH]) -> (f32, f32),
-    ) -> f32 {
-        // `as i32` first: a conversion to unsigned takes several instructions.
-        let (x0, y0) = (x as i32, y as i32);
-        let (fx, fy) = (x - x0 as f32, y - y0 as f32);
-        let at = y0 as usize * self.stride + bytes_a_pixel * x0 as usize;
-        let row = |at: usize| self.bytes[at..].first_chunk::<LENGTH>().map_or((0.0, 0.0), &pair);
-        let (upper, lower) = (row(at), row(at + self.stride));
-        let upper = upper.0 + fx * (upper.1 - upper.0);
-        let lower = lower.0 + fx * (lower.1 - lower.0);
-        upper + fy * (lower - upper)
+        shift: u32,
+        pair: impl Fn(&[u8; BYTES]) -> [i32; 2],
+    ) -> [f32; N] {
+        let fixed = |v: f32| (v * 65536.0) as i32;
+        let ([mut x, mut y], [dx, dy]) = (from.map(fixed), step.map(fixed));
+        let mut values = [0.0; N];
+        for value in &mut values {
+            let (fx, fy) = (i64::from(x >> 8 & 0xff), i64::from(y >> 8 & 0xff));
+            let at = (y >> 16) as usize * self.stride + bytes_a_pixel * (x >> 16) as usize;
+            let row = |at: usize| {
+                let [a, b] = self.bytes[at..].first_chunk().map_or([0; 2], &pair);
+                i64::from(a) * 256 + fx * i64::from(b - a)
+            };
+            let (upper, lower) = (row(at), row(at + self.stride));
+            *value = (upper * 256 + fy * (lower - upper)) as f32 * (1.0 / (1u64 << (16 + shift)) as f32);
+            (x, y) = (x + dx, y + dy);
+        }
+        values
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+
+    #[test]
+    fn a_profile_is_its_samples() {
+        let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(2);
+        let (w, h) = (40, 30);
+        for format in [PixelFormat::Rgb, PixelFormat::Bgr, PixelFormat::Grey, PixelFormat::Yuyv] {
+            let pixel = match format {
+                PixelFormat::Grey => 1,
+                PixelFormat::Yuyv => 2,
+                _ => 3,
+            };
+            let bytes = (0..w * h * pixel).map(|_| random.random_range(0..=255)).collect();
+            let frame =
+                Frame { bytes, format, width: w, height: h, stride_bytes: w * pixel, ..Frame::default() };
+            let view = LumaView::new(&frame).expect("a whole picture");
+            for _ in 0..200 {
+                let from = [random.random_range(-3.0..42.0), random.random_range(-3.0..32.0)];
+                let step = [random.random_range(-1.0..1.0), random.random_range(-1.0..1.0f32)];
+                let profile: [f32; 8] = view.profile(from, step);
+                for (i, value) in profile.into_iter().enumerate() {
+                    let sample = view.sample(from[0] + i as f32 * step[0], from[1] + i as f32 * step[1]);
+                    assert!((value - sample).abs() < 3.0, "{value} for {sample}, {format:?}");
+                }
+            }
+        }
     }
 }

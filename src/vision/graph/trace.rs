@@ -82,16 +82,12 @@ impl Traced {
         let (mut walk, mut direction) = (Walk::new(from), direction);
         let mut corners = 0;
         let arrived = loop {
-            corners += direction & 1;
-            walk.step(direction);
-            self.push(walk.pixel())?;
-            let onward = walk.branches(skeleton) & !(1 << (direction ^ 4));
+            let straight = self.points.len();
+            let onward = self.go_straight(skeleton, &mut walk, direction)?;
+            corners += (self.points.len() - straight) * (direction & 1);
             // Neither an end nor a junction: exactly one way on.
-            if onward.is_power_of_two()
-                && let next = onward.trailing_zeros() as usize
-                && self.points.len() < begin + 2 + pixels.chain_pixels
-            {
-                direction = next;
+            if onward.is_power_of_two() && self.points.len() < begin + 2 + pixels.chain_pixels {
+                direction = onward.trailing_zeros() as usize;
                 continue;
             }
             let [x, y] = walk.pixel();
@@ -107,6 +103,21 @@ impl Traced {
         }
         self.close(nodes, begin, corners)?;
         Ok(between)
+    }
+
+    /// Walks on as long as the only way on is the same direction; the ways on from where it stops. A loop of its own,
+    /// as the processor then guesses right and need not wait for the words of each pixel.
+    #[inline]
+    fn go_straight(&mut self, skeleton: &BitImage, walk: &mut Walk, direction: usize) -> Result<u8, Refusal> {
+        let (same, back) = (1 << direction, 1 << (direction ^ 4));
+        loop {
+            walk.step(direction);
+            self.push(walk.pixel())?;
+            let onward = walk.branches(skeleton) & !back;
+            if onward != same {
+                return Ok(onward);
+            }
+        }
     }
 
     /// Walks around the loops without nodes.
