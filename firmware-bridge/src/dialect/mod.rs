@@ -24,6 +24,7 @@
 //! understood after any cut, and treats everything before them as perhaps lost.
 
 use crate::config::{ConfigError, DialectName, Settings};
+use crate::gcode::{Grbl, Marlin, Uarm};
 use crate::message::{Command, Refusal, Report};
 
 mod own;
@@ -36,6 +37,12 @@ pub use own::Own;
 pub enum Dialect {
     /// PickCell's own packets.
     Own(Own),
+    /// Grbl 1.1.
+    Grbl(Grbl),
+    /// Marlin 2.
+    Marlin(Marlin),
+    /// uArm Swift Pro.
+    Uarm(Uarm),
 }
 
 /// Calls the same method of whichever dialect it is.
@@ -43,6 +50,9 @@ macro_rules! each {
     ($self:expr, $dialect:ident => $call:expr) => {
         match $self {
             Dialect::Own($dialect) => $call,
+            Dialect::Grbl($dialect) => $call,
+            Dialect::Marlin($dialect) => $call,
+            Dialect::Uarm($dialect) => $call,
         }
     };
 }
@@ -55,11 +65,9 @@ impl Dialect {
     pub fn new(settings: &Settings, session_seed: u32) -> Result<Self, ConfigError> {
         match settings.arm.dialect {
             DialectName::Own => Ok(Dialect::Own(Own::new(settings, session_seed))),
-            other => Err(ConfigError::Value {
-                key: "arm.dialect",
-                value: format!("{other:?}"),
-                allowed: "own".into(),
-            }),
+            DialectName::Grbl => Ok(Dialect::Grbl(Grbl::new(settings, session_seed)?)),
+            DialectName::Marlin => Ok(Dialect::Marlin(Marlin::new(settings, session_seed)?)),
+            DialectName::Uarm => Ok(Dialect::Uarm(Uarm::new(settings, session_seed)?)),
         }
     }
 

@@ -1,7 +1,8 @@
 //! The moves that every dialect has of its own, so that an engineer needs none for a first pick.
 //!
-//! All of them: up, across at the height of the highest pose, down along the approach, close, up along the retreat,
-//! across to the place, down, open, up. Speeds are mm/min. They do not turn the tool, but for the uArm's wrist.
+//! All of them: across to above the part at the height of the highest pose, down along the approach, close, up along
+//! the retreat, across to above the place, down, open, up. Speeds are mm/min. They do not turn the tool, but for the uArm's wrist. The
+//! fingers are open when a pick begins (`start` and the end of every list see to it), so the first line is a move.
 
 use crate::config::DialectName;
 use crate::message::ArmAxes;
@@ -18,16 +19,13 @@ pub(crate) struct Own {
 const GRBL: Own = Own {
     start: &["M9"],
     pick: &[
-        "M9",
-        "G0 Z{travel_z}",
-        "G0 X{approach_x} Y{approach_y}",
+        "G0 X{approach_x} Y{approach_y} Z{travel_z}",
         "G0 Z{approach_z}",
         "G1 X{grasp_x} Y{grasp_y} Z{grasp_z} F1500",
         "M8",
         "G4 P0.4",
         "G1 X{retreat_x} Y{retreat_y} Z{retreat_z} F3000",
-        "G0 Z{travel_z}",
-        "G0 X{place_x} Y{place_y}",
+        "G0 X{place_x} Y{place_y} Z{travel_z}",
         "G1 Z{place_z} F1500",
         "M9",
         "G4 P0.4",
@@ -40,16 +38,13 @@ const GRBL: Own = Own {
 const MARLIN: Own = Own {
     start: &["M107"],
     pick: &[
-        "M107",
-        "G0 Z{travel_z} F6000",
-        "G0 X{approach_x} Y{approach_y} F6000",
+        "G0 X{approach_x} Y{approach_y} Z{travel_z} F6000",
         "G0 Z{approach_z} F6000",
         "G1 X{grasp_x} Y{grasp_y} Z{grasp_z} F1500",
         "M106 S255",
         "G4 P400",
         "G1 X{retreat_x} Y{retreat_y} Z{retreat_z} F3000",
-        "G0 Z{travel_z} F6000",
-        "G0 X{place_x} Y{place_y} F6000",
+        "G0 X{place_x} Y{place_y} Z{travel_z} F6000",
         "G1 Z{place_z} F1500",
         "M107",
         "G4 P400",
@@ -62,7 +57,7 @@ const MARLIN: Own = Own {
 const UARM: Own = Own {
     start: &["M2232 V0"],
     pick: &[
-        "M2232 V0",
+        "G0 X{approach_x} Y{approach_y} Z{travel_z} F6000",
         "G0 X{approach_x} Y{approach_y} Z{approach_z} F6000",
         "G1 X{grasp_x} Y{grasp_y} Z{grasp_z} F1500",
         "M2232 V1",
@@ -74,17 +69,17 @@ const UARM: Own = Own {
         "G4 P800",
         "G0 X{place_x} Y{place_y} Z{travel_z} F6000",
     ],
-    missed: &["M2232 V0", "G4 P800", "G0 X{approach_x} Y{approach_y} Z{approach_z} F6000"],
+    missed: &["M2232 V0", "G4 P800", "G0 X{retreat_x} Y{retreat_y} Z{travel_z} F6000"],
 };
 
 /// The same with the wrist turned above the part and above its place.
 const UARM_YAW: Own = Own {
     start: UARM.start,
     pick: &[
-        "M2232 V0",
-        "G0 X{approach_x} Y{approach_y} Z{approach_z} F6000",
+        "G0 X{approach_x} Y{approach_y} Z{travel_z} F6000",
         "G2202 N3 V{grasp_wrist} F1000",
         "G4 P500",
+        "G0 X{approach_x} Y{approach_y} Z{approach_z} F6000",
         "G1 X{grasp_x} Y{grasp_y} Z{grasp_z} F1500",
         "M2232 V1",
         "G4 P800",

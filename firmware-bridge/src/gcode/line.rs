@@ -121,7 +121,7 @@ impl Incoming {
 
 /// Puts incoming bytes together to lines; `\n` and `\r` both end one. What is too long is cut, and bytes that are
 /// no printable ASCII spoil their line: it is dropped and counted.
-#[derive(Clone)]
+#[derive(Clone, Debug)]
 pub(crate) struct Assembler {
     bytes: [u8; INCOMING_LEN_MAX],
     len: usize,

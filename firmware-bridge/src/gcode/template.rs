@@ -155,15 +155,6 @@ pub(crate) enum List {
     Clear,
 }
 
-/// How a held part shows.
-#[derive(Clone, Debug)]
-pub(crate) struct HeldQuery {
-    /// The line to ask with.
-    pub(crate) ask: LineBuf,
-    /// What the answer contains when a part is held.
-    pub(crate) expect: Box<str>,
-}
-
 /// All the lines of an arm, checked.
 #[derive(Clone, Debug)]
 pub struct Program {
@@ -171,7 +162,8 @@ pub struct Program {
     pick: Box<[Step]>,
     missed: Box<[Step]>,
     clear: Box<[Step]>,
-    pub(crate) held: Option<HeldQuery>,
+    /// The question whether a part is held.
+    pub(crate) held: Option<LineBuf>,
     tool: Tool,
 }
 
@@ -456,7 +448,7 @@ impl Compiler<'_> {
         if len > max { Err(LineFault::TooLong { len, max }) } else { Ok(()) }
     }
 
-    fn held(&self) -> Result<Option<HeldQuery>, TemplateError> {
+    fn held(&self) -> Result<Option<LineBuf>, TemplateError> {
         let Some(held) = &self.settings.arm.moves.held else { return Ok(None) };
         let allowed = defaults::held_questions(self.settings.arm.dialect);
         let ask = held.ask.trim();
@@ -466,7 +458,7 @@ impl Compiler<'_> {
         if held.expect.is_empty() || held.expect.len() > 40 || !held.expect.is_ascii() {
             return Err(TemplateError::HeldExpect { expect: held.expect.clone() });
         }
-        Ok(Some(HeldQuery { ask: LineBuf::of(ask), expect: held.expect.as_str().into() }))
+        Ok(Some(LineBuf::of(ask)))
     }
 }
 

@@ -9,14 +9,23 @@
 //! button: it restarts at once, forgets everything and says its banner) and `heal()` (no further faults).
 
 mod body;
+mod grbl;
+mod grbl_block;
+mod marlin;
+mod motion;
+mod noise;
 mod own;
+mod uarm;
 
 use crate::config::DialectName;
 pub use body::Body;
+pub use grbl::GrblFirmware;
+pub use marlin::MarlinFirmware;
 pub use own::OwnFirmware;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 use serde::{Deserialize, Serialize};
+pub use uarm::UarmFirmware;
 
 /// A firmware of one dialect.
 #[derive(Debug)]
@@ -24,6 +33,12 @@ use serde::{Deserialize, Serialize};
 pub enum Firmware {
     /// PickCell's own packets.
     Own(OwnFirmware),
+    /// Grbl 1.1.
+    Grbl(GrblFirmware),
+    /// Marlin 2.
+    Marlin(MarlinFirmware),
+    /// uArm Swift Pro.
+    Uarm(UarmFirmware),
 }
 
 /// Calls the same method of whichever firmware it is.
@@ -31,6 +46,9 @@ macro_rules! each {
     ($self:expr, $firmware:ident => $call:expr) => {
         match $self {
             Firmware::Own($firmware) => $call,
+            Firmware::Grbl($firmware) => $call,
+            Firmware::Marlin($firmware) => $call,
+            Firmware::Uarm($firmware) => $call,
         }
     };
 }
@@ -39,8 +57,9 @@ impl Firmware {
     fn new(dialect: DialectName, park_mm: [f64; 3], faults: Faults) -> Self {
         match dialect {
             DialectName::Own => Firmware::Own(OwnFirmware::new(park_mm, faults)),
-            // The others follow.
-            _ => Firmware::Own(OwnFirmware::new(park_mm, faults)),
+            DialectName::Grbl => Firmware::Grbl(GrblFirmware::new(park_mm, faults)),
+            DialectName::Marlin => Firmware::Marlin(MarlinFirmware::new(park_mm, faults)),
+            DialectName::Uarm => Firmware::Uarm(UarmFirmware::new(park_mm, faults)),
         }
     }
 }

@@ -3,7 +3,7 @@
 use crate::cell::{Cell, Way};
 use firmware_bridge::config::{DialectName, Settings};
 use firmware_bridge::dialect::TRANSMIT_LEN_MIN;
-use firmware_bridge::message::{Command, Pick, Pose, Refusal, Report, Seen};
+use firmware_bridge::message::{ArmAxes, Command, Pick, Pose, Refusal, Report, Seen};
 use firmware_bridge::simulate::{Faults, Motion, SimulatedArm};
 use std::collections::VecDeque;
 
@@ -16,13 +16,18 @@ const LATENCY_NS: i64 = 200_000;
 pub(crate) const PARK_MM: [f64; 3] = [-200.0, -200.0, 250.0];
 
 /// Every dialect that the contract holds for.
-pub(crate) const DIALECTS: [DialectName; 1] = [DialectName::Own];
+pub(crate) const DIALECTS: [DialectName; 4] =
+    [DialectName::Own, DialectName::Grbl, DialectName::Marlin, DialectName::Uarm];
 
 pub(crate) fn settings(dialect: DialectName) -> Settings {
     let text = "[workspace]\nmin_mm = [-200, -200, 0]\nmax_mm = [200, 200, 300]\n\
                 [arm]\nbanner_wait_ms = 300\npick_timeout_ms = 60000\n";
     let mut settings = Settings::parse(text).unwrap();
     settings.arm.dialect = dialect;
+    if dialect != DialectName::Own {
+        settings.arm.axes = ArmAxes::Xyz;
+        settings.arm.moves.clear = vec!["G0 X-200 Y-200 Z250 F12000".into()];
+    }
     settings
 }
 
@@ -175,7 +180,13 @@ impl Bench {
         ];
         let next_ns = next.into_iter().flatten().min().unwrap_or(end_ns);
         self.idle_steps = if next_ns > self.now_ns { 0 } else { self.idle_steps + 1 };
-        assert!(self.idle_steps < 1000, "somebody wants to be woken for ever without anything to do");
+        assert!(
+            self.idle_steps < 1000,
+            "somebody wants to be woken for ever without anything to do at {}: cell {:?}, arm {:?}",
+            self.now_ns,
+            self.cell.next_deadline_ns(),
+            self.arm.next_deadline_ns(),
+        );
         // A pty or USB adapter wakes nobody more often than this.
         self.now_ns = next_ns.max(self.now_ns + 20_000).min(end_ns.max(self.now_ns));
     }
@@ -200,6 +211,7 @@ impl Bench {
                 if len == 0 {
                     break;
                 }
+                self.trace("<", &out[..len]);
                 self.to_cell.put(&out[..len], self.now_ns);
             }
             while let Some(byte) = self.to_cell.take(self.now_ns) {
@@ -215,6 +227,13 @@ impl Bench {
             if quiet && before == (self.reports.len(), self.motions.len()) {
                 return;
             }
+        }
+    }
+
+    /// With `BENCH_TRACE` set, what both sides say is printed as it is said.
+    fn trace(&self, way: &str, bytes: &[u8]) {
+        if std::env::var_os("BENCH_TRACE").is_some() {
+            println!("{:>9.3} {way} {}", self.now_ns as f64 / 1e9, bytes.escape_ascii());
         }
     }
 
@@ -248,6 +267,7 @@ impl Bench {
             if sent.len == 0 {
                 return;
             }
+            self.trace(if sent.urgent { "!>" } else { ">" }, &out[..sent.len]);
             self.to_arm.put(&out[..sent.len], self.now_ns);
             if let Some(id) = sent.pick {
                 self.written = Some((self.to_arm.free_ns, id));

@@ -1,0 +1,693 @@
+//! uArm Swift Pro: `#n command` answered by `$n ok …` or `$n E22`, one command and one question at a time.
+//!
+//! Firmware 4 (built on Grbl 0.9) answers a move when it is done, stops at `!` and says its state at `?`; firmware 3
+//! (built on Marlin 1.1) answers it when it is planned, stops at G2203 and is asked M2200 whether it moves. Either
+//! way an arm counts as arrived when two readings of its encoders (P2220) in a row agree. The encoders outlive a
+//! restart: the position is never unknown. Tags are not used again for a long time, so that an answer that comes
+//! late, or in another order, finds nobody waiting.
+//!
+//! Sources: uArm Swift Pro protocol V4 and its firmware's behaviour (github.com/uArm-Developer/SwiftProForArduino).
+
+use super::engine::Driver;
+use super::line::{self, Assembler, LineBuf};
+use super::wire::{CODE_UNANSWERED, CODE_UNNUMBERED, Event, Events, MS, Preamble, Wire, put};
+use super::words::Kind;
+use crate::config::Settings;
+
+/// A uArm Swift Pro.
+pub type Uarm = Driver<UarmWire>;
+
+/// A question, and a command that does not move, is answered within this time.
+const ANSWER: i64 = 1500 * MS;
+/// Readings of the encoders are this far apart in time, and agree within so much when the arm stands.
+const LOOK_AGAIN: i64 = 60 * MS;
+const AGREE_MM: f64 = 1.0;
+const STOP_AGAIN: i64 = 120 * MS;
+/// Statuses that do not come: the firmware knows no `?`.
+const DEAF_STATUSES: u8 = 3;
+const BANNER: i64 = 3000 * MS;
+const HEARTBEAT_MIN: i64 = 200 * MS;
+const SILENCE_MIN: i64 = 750 * MS;
+/// `Idle` for so long with a line unanswered: its answer is lost.
+const ANSWER_LOST: i64 = 800 * MS;
+const TAG_MAX: u32 = 9999;
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Chore {
+    Closed,
+    Banner(i64),
+    /// Version, then whether it stands; since then.
+    Greet(i64),
+    None,
+    /// Looking whether it stands; what for.
+    Look(LookFor),
+    /// Being stopped since then, stop bytes last sent then; to greet or because somebody wants it.
+    Stop {
+        since: i64,
+        again: i64,
+        greeting: bool,
+    },
+    /// A reset was sent then.
+    Settle {
+        reset: Option<i64>,
+        unlock: bool,
+    },
+    Held,
+    Reach,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum LookFor {
+    Greeting,
+    Sync,
+    Settled { unlock: bool },
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Asked {
+    Version,
+    Pose,
+    /// M2200.
+    Moving,
+    Held,
+    Reach,
+    /// G2203.
+    Stop,
+    Line(Kind),
+}
+
+/// A command or question on its way.
+#[derive(Clone, Copy, Debug)]
+struct Flight {
+    tag: u32,
+    asked: Asked,
+    sent: i64,
+    patience: Option<i64>,
+}
+
+/// The uArm's end of the wire.
+#[derive(Debug)]
+pub struct UarmWire {
+    incoming: Assembler,
+    chore: Chore,
+    heartbeat: i64,
+    silence: i64,
+    banner_wait: i64,
+    handshake: i64,
+    tag: u32,
+    flight: Option<Flight>,
+    own_line: Option<(LineBuf, Asked)>,
+    /// Not to be sent before.
+    own_not_before: i64,
+    urgent: Option<u8>,
+    ask: bool,
+    ask_sent: Option<i64>,
+    next_ask: i64,
+    /// `?`, `!` and 0x18 are understood.
+    realtime: bool,
+    deaf_statuses: u8,
+    heard: i64,
+    last_pose_mm: Option<[f64; 3]>,
+    last_status_mm: Option<[f64; 3]>,
+    /// The status since the look began says that it stands.
+    rests: bool,
+    foreign: bool,
+    greeted_version: bool,
+    restarted: bool,
+    dirty: bool,
+    alarm: Option<u16>,
+    /// `$X` is to be sent.
+    leave_alarm: bool,
+    /// Standing with a line unanswered since then.
+    idle_since: Option<i64>,
+    held_sign: Box<str>,
+}
+
+impl UarmWire {
+    fn begin(&mut self, chore: Chore, now: i64) {
+        self.chore = chore;
+        self.flight = None;
+        self.own_line = None;
+        self.own_not_before = now;
+        self.leave_alarm = false;
+        self.last_pose_mm = None;
+        self.last_status_mm = None;
+        self.rests = false;
+        self.next_ask = now + self.heartbeat;
+    }
+
+    fn own(&mut self, text: &str, asked: Asked, not_before: i64) {
+        self.own_line = Some((LineBuf::of(text), asked));
+        self.own_not_before = not_before;
+    }
+
+    fn look(&mut self, what_for: LookFor, now: i64) {
+        self.begin(Chore::Look(what_for), now);
+        let (text, asked) = if self.realtime { ("P2220", Asked::Pose) } else { ("M2200", Asked::Moving) };
+        self.own(text, asked, now);
+        // A status on its way was asked for too early.
+        self.ask_sent = None;
+        self.next_ask = now;
+    }
+
+    fn launch(
+        &mut self,
+        text: &LineBuf,
+        asked: Asked,
+        patience: Option<i64>,
+        now: i64,
+        out: &mut [u8],
+    ) -> usize {
+        self.tag = self.tag % TAG_MAX + 1;
+        self.flight = Some(Flight { tag: self.tag, asked, sent: now, patience });
+        let mut head = LineBuf::new();
+        head.byte(b'#');
+        head.integer(u64::from(self.tag));
+        head.byte(b' ');
+        let mut len = 0;
+        put(out, &mut len, head.as_bytes());
+        put(out, &mut len, text.as_bytes());
+        put(out, &mut len, b"\n");
+        len
+    }
+
+    fn text(&mut self, text: &str, now: i64, events: &mut Events) {
+        if let Some(status) = text.strip_prefix('<').and_then(|t| t.strip_suffix('>')) {
+            self.heard = now;
+            return self.status(status, now, events);
+        }
+        if let Some(answer) = text.strip_prefix('$') {
+            if let Some((tag, rest)) = line::leading_integer(answer) {
+                self.heard = now;
+                return self.answer(tag, rest.trim(), now, events);
+            }
+        }
+        if text == "@1" || text.starts_with("Grbl 0.9") || text == "start" {
+            return self.banner(now, events);
+        }
+        if text.starts_with("@5 V0") {
+            // The motors lost their power.
+            return events.push(Event::OperatorHold);
+        }
+        if text.starts_with("ALARM") {
+            self.alarm = Some(1);
+            self.flight = None;
+            match self.chore {
+                Chore::Closed
+                | Chore::Banner(_)
+                | Chore::Greet(_)
+                | Chore::Settle { .. }
+                | Chore::Stop { .. } => {}
+                _ => {
+                    self.begin(Chore::None, now);
+                    events.push(Event::Alarm { code: 1, position_lost: false });
+                }
+            }
+            return;
+        }
+        if let Some(code) = text.strip_prefix('E').and_then(line::leading_integer) {
+            // "E23 buffer full" comes without a tag.
+            if matches!(self.flight, Some(Flight { asked: Asked::Line(_), .. })) {
+                self.flight = None;
+                events.push(Event::LineFailed(code.0 as u16));
+            }
+            return;
+        }
+        let known = text.starts_with('@') || text.starts_with('[') || text.eq_ignore_ascii_case("ok");
+        if !known {
+            let other = text.starts_with("Grbl") || text.starts_with("echo:") || text.starts_with("error:");
+            self.foreign |= other && matches!(self.chore, Chore::Greet(_));
+            events.garbage += text.len() as u32;
+        }
+    }
+
+    fn banner(&mut self, now: i64, events: &mut Events) {
+        self.alarm = None;
+        match self.chore {
+            Chore::Closed => {}
+            Chore::Settle { reset: Some(_), unlock } => self.after_reset(unlock, now),
+            // The banner has two lines.
+            Chore::Look(LookFor::Settled { .. }) => {}
+            Chore::Banner(_) | Chore::Greet(_) | Chore::Look(LookFor::Greeting) => {
+                self.restarted = true;
+                self.dirty = false;
+                self.say_hello(now);
+            }
+            _ => {
+                self.restarted = true;
+                self.dirty = false;
+                events.push(Event::Restarted);
+                self.say_hello(now);
+            }
+        }
+    }
+
+    /// The reset has thrown everything away. If it found the arm still decelerating it left an alarm, which `$X` ends
+    /// and without which it does nothing.
+    fn after_reset(&mut self, unlock: bool, now: i64) {
+        self.dirty = false;
+        self.alarm = None;
+        self.look(LookFor::Settled { unlock }, now);
+        self.own_not_before = now + LOOK_AGAIN;
+        self.leave_alarm = true;
+    }
+
+    fn say_hello(&mut self, now: i64) {
+        self.begin(Chore::Greet(now), now);
+        self.realtime = true;
+        self.deaf_statuses = 0;
+        self.greeted_version = false;
+        self.ask_sent = None;
+        self.own("P2203", Asked::Version, now);
+    }
+
+    /// What stands behind `$n`.
+    fn answer(&mut self, tag: u32, rest: &str, now: i64, events: &mut Events) {
+        let Some(flight) = self.flight.filter(|flight| flight.tag == tag) else { return };
+        self.flight = None;
+        let (word, value) = rest.split_once(' ').unwrap_or((rest, ""));
+        let ok = word.eq_ignore_ascii_case("ok");
+        let code = word
+            .strip_prefix('E')
+            .and_then(line::leading_integer)
+            .map_or(CODE_UNNUMBERED, |(code, _)| code as u16);
+        if !matches!(flight.asked, Asked::Line(_)) {
+            let delay_us = u32::try_from((now - flight.sent) / 2000).unwrap_or(u32::MAX);
+            events.push(Event::Heartbeat(delay_us));
+        }
+        match flight.asked {
+            Asked::Line(_) if ok => events.push(Event::LineDone),
+            Asked::Line(_) => events.push(Event::LineFailed(code)),
+            Asked::Version => {
+                let version = value.trim_start_matches(['V', 'v']);
+                self.realtime = !(version.starts_with('2') || version.starts_with('3'));
+                self.greeted_version = true;
+                self.look(LookFor::Greeting, now);
+            }
+            Asked::Moving => {
+                // Firmware 4 does not know the question, and does not need it.
+                let moving = ok && value.contains("V1");
+                let (text, asked) = if moving { ("M2200", Asked::Moving) } else { ("P2220", Asked::Pose) };
+                self.own(text, asked, if moving { now + LOOK_AGAIN } else { now });
+            }
+            Asked::Pose => self.posed(ok, value, now, events),
+            Asked::Held => {
+                self.chore = Chore::None;
+                events.push(Event::Held(ok && rest.contains(&*self.held_sign)));
+            }
+            Asked::Reach => {
+                self.chore = Chore::None;
+                // A firmware that does not know the question leaves the answer to the move itself.
+                events.push(Event::Reachable(!(ok && value.contains("V0")) && code != 22));
+            }
+            // Firmware 3 was told to stop; the encoders say when it stands.
+            Asked::Stop => self.own("P2220", Asked::Pose, now),
+        }
+    }
+
+    /// A reading of the encoders.
+    fn posed(&mut self, ok: bool, value: &str, now: i64, events: &mut Events) {
+        let axes = ['X', 'Y', 'Z'].map(|axis| line::word(value, axis));
+        let [Some(x), Some(y), Some(z)] = axes else {
+            // NaN, or a byte lost: look again.
+            events.garbage += value.len() as u32;
+            if !ok || matches!(self.chore, Chore::Look(_) | Chore::Stop { .. }) {
+                self.own("P2220", Asked::Pose, now + LOOK_AGAIN);
+            }
+            return;
+        };
+        let pose_mm = [x, y, z];
+        if self.chore == Chore::None {
+            return events.push(Event::Resting(pose_mm.map(Some)));
+        }
+        let before = self.last_pose_mm.replace(pose_mm);
+        let stands = before.is_some_and(|before| far(before, pose_mm) <= AGREE_MM);
+        let what_for = match self.chore {
+            Chore::Look(what_for) => what_for,
+            Chore::Stop { greeting, .. } if stands => return self.stopped(greeting, now, events),
+            Chore::Stop { .. } => return self.own("P2220", Asked::Pose, now + LOOK_AGAIN),
+            _ => return,
+        };
+        // Slow moves look like rest to the encoders; the status, where there is one, does not.
+        let stands = stands && (self.rests || !self.realtime);
+        if !stands {
+            let moves = before.is_some_and(|before| far(before, pose_mm) > AGREE_MM);
+            if moves && what_for == LookFor::Greeting {
+                // It moves although nobody here told it to.
+                return self.halt(true, now);
+            }
+            return self.own("P2220", Asked::Pose, now + LOOK_AGAIN);
+        }
+        self.begin(Chore::None, now);
+        events.push(match what_for {
+            LookFor::Greeting => Event::Up { restarted: core::mem::take(&mut self.restarted), alarm: None },
+            LookFor::Sync => Event::Standing(pose_mm.map(Some)),
+            LookFor::Settled { unlock: false } => Event::Settled,
+            LookFor::Settled { unlock: true } => Event::Unlocked,
+        });
+    }
+
+    fn halt(&mut self, greeting: bool, now: i64) {
+        self.begin(Chore::Stop { since: now, again: now, greeting }, now);
+        self.dirty = true;
+        self.next_ask = now;
+        if self.realtime {
+            self.urgent = Some(b'!');
+        } else {
+            self.own("G2203", Asked::Stop, now);
+        }
+    }
+
+    fn stopped(&mut self, greeting: bool, now: i64, events: &mut Events) {
+        self.begin(Chore::None, now);
+        events.push(if greeting {
+            Event::Up { restarted: core::mem::take(&mut self.restarted), alarm: None }
+        } else {
+            Event::Stopped
+        });
+    }
+
+    /// `Hold,MPos:…` as Grbl 0.9 writes it.
+    fn status(&mut self, status: &str, now: i64, events: &mut Events) {
+        self.deaf_statuses = 0;
+        if let Some(sent) = self.ask_sent.take() {
+            events.push(Event::Heartbeat(u32::try_from((now - sent) / 2000).unwrap_or(u32::MAX)));
+        }
+        let (state, rest) = status.split_once([',', '|']).unwrap_or((status, ""));
+        if self.chore == Chore::Look(LookFor::Greeting) && matches!(state, "Run" | "Home" | "Hold") {
+            // It moves, or a cell that is gone holds it: what it still has must go.
+            return self.halt(true, now);
+        }
+        self.rests = matches!(state, "Idle" | "Alarm");
+        let at_mm = rest.strip_prefix("MPos:").and_then(line::triple);
+        let before = core::mem::replace(&mut self.last_status_mm, at_mm);
+        let still = match (before, at_mm) {
+            (Some(before), Some(at)) => far(before, at) == 0.0,
+            _ => false,
+        };
+        match (self.chore, state) {
+            (Chore::Stop { greeting, .. }, "Hold" | "Idle" | "Alarm" | "Door") if still => {
+                self.stopped(greeting, now, events);
+            }
+            (Chore::None | Chore::Look(LookFor::Sync), "Hold" | "Door") if !self.dirty => {
+                events.push(Event::OperatorHold);
+            }
+            (Chore::None, "Idle") if self.flight.is_some() => {
+                // It stands and has not answered: the answer is lost, or the line was.
+                if now - *self.idle_since.get_or_insert(now) >= ANSWER_LOST {
+                    self.idle_since = None;
+                    self.flight = None;
+                    events.push(Event::LineFailed(CODE_UNANSWERED));
+                }
+                return;
+            }
+            (Chore::None, "Alarm") if self.alarm.is_none() => {
+                self.alarm = Some(1);
+                self.flight = None;
+                events.push(Event::Alarm { code: 1, position_lost: false });
+            }
+            _ => {}
+        }
+        self.idle_since = None;
+    }
+
+    /// Whether `?` is asked for now.
+    fn polls(&self) -> bool {
+        self.realtime
+            && self.greeted_version
+            && !matches!(
+                self.chore,
+                Chore::Banner(_) | Chore::Greet(_) | Chore::Settle { reset: Some(_), .. }
+            )
+    }
+}
+
+impl Wire for UarmWire {
+    const PREAMBLE: &'static [Preamble] = &[
+        Preamble { text: "G90", optional: false },
+        // Firmware 3 has no inches and does not know it.
+        Preamble { text: "G21", optional: true },
+    ];
+    /// The encoders' reading and the commanded point differ by the arm's calibration.
+    const TOLERANCE_MM: f64 = 10.0;
+    const KNOWS_POSITION: bool = true;
+    const CHECKS_REACH: bool = true;
+    const WAITS_HERE: bool = true;
+
+    fn new(settings: &Settings) -> Self {
+        let arm = &settings.arm;
+        Self {
+            incoming: Assembler::new(),
+            chore: Chore::Closed,
+            heartbeat: (i64::from(arm.heartbeat_ms) * MS).max(HEARTBEAT_MIN),
+            silence: (i64::from(arm.heartbeat_timeout_ms) * MS).max(SILENCE_MIN),
+            banner_wait: i64::from(arm.banner_wait_ms) * MS,
+            handshake: (i64::from(arm.handshake_timeout_ms) * MS).max(ANSWER),
+            tag: 0,
+            flight: None,
+            own_line: None,
+            own_not_before: 0,
+            urgent: None,
+            ask: false,
+            ask_sent: None,
+            next_ask: 0,
+            realtime: true,
+            deaf_statuses: 0,
+            heard: 0,
+            last_pose_mm: None,
+            last_status_mm: None,
+            rests: false,
+            foreign: false,
+            greeted_version: false,
+            restarted: false,
+            dirty: false,
+            alarm: None,
+            leave_alarm: false,
+            idle_since: None,
+            held_sign: arm.moves.held.as_ref().map_or_else(Box::default, |held| held.expect.as_str().into()),
+        }
+    }
+
+    fn open(&mut self, now: i64) {
+        self.greet(now);
+        self.begin(Chore::Banner(now + self.banner_wait), now);
+    }
+
+    fn greet(&mut self, now: i64) {
+        self.incoming.clear();
+        self.dirty |= self.flight.is_some();
+        self.urgent = None;
+        self.ask = false;
+        self.foreign = false;
+        self.alarm = None;
+        self.heard = now;
+        self.say_hello(now);
+    }
+
+    fn close(&mut self) {
+        self.dirty = true;
+        self.begin(Chore::Closed, 0);
+    }
+
+    fn on_bytes(&mut self, bytes: &[u8], now: i64, events: &mut Events) {
+        for &byte in bytes {
+            if let Some(line) = self.incoming.push(byte) {
+                self.text(line.text(), now, events);
+            }
+        }
+        events.garbage += self.incoming.take_garbage();
+    }
+
+    fn on_time(&mut self, now: i64, events: &mut Events) {
+        match self.chore {
+            Chore::Closed => return,
+            Chore::Banner(until) => {
+                if now >= until {
+                    self.greet(now);
+                }
+                return;
+            }
+            Chore::Greet(since) if now - since >= self.handshake => {
+                if core::mem::take(&mut self.foreign) {
+                    events.push(Event::WrongDialect);
+                }
+                // A hold left on by a cell that is gone keeps the firmware from answering: a reset ends it.
+                let held = self.dirty || self.deaf_statuses > 0;
+                self.say_hello(now);
+                self.deaf_statuses = 1;
+                if held {
+                    self.urgent = Some(0x18);
+                }
+                return;
+            }
+            Chore::Stop { since, again, greeting } if now - again >= STOP_AGAIN => {
+                self.chore = Chore::Stop { since, again: now, greeting };
+                if self.realtime {
+                    self.urgent = Some(b'!');
+                } else if self.flight.is_none() && self.own_line.is_none() {
+                    self.own("G2203", Asked::Stop, now);
+                }
+            }
+            Chore::Settle { reset: Some(at), unlock } if now - at >= BANNER => {
+                // Some builds start without a word.
+                self.after_reset(unlock, now);
+            }
+            _ => {}
+        }
+        if let Some(flight) = self.flight {
+            if flight.patience.is_some_and(|patience| now - flight.sent >= patience) {
+                self.flight = None;
+                match flight.asked {
+                    Asked::Line(_) => events.push(Event::LineFailed(CODE_UNANSWERED)),
+                    Asked::Version | Asked::Stop => {}
+                    _ => return events.push(Event::Silent),
+                }
+            }
+        }
+        if self.polls() {
+            if self.ask_sent.is_some_and(|at| now - at >= 2 * self.heartbeat) {
+                self.ask_sent = None;
+                self.deaf_statuses = self.deaf_statuses.saturating_add(1);
+                if now - self.heard >= self.silence {
+                    return events.push(Event::Silent);
+                }
+                if self.deaf_statuses >= DEAF_STATUSES && !self.dirty && self.flight.is_none() {
+                    self.realtime = false;
+                }
+            }
+            if now >= self.next_ask && self.ask_sent.is_none() {
+                self.ask = true;
+                let often = matches!(self.chore, Chore::Stop { .. } | Chore::Look(_));
+                self.next_ask = now + if often { LOOK_AGAIN } else { self.heartbeat };
+            }
+        } else if self.chore == Chore::None
+            && self.flight.is_none()
+            && self.own_line.is_none()
+            && now >= self.next_ask
+        {
+            self.next_ask = now + self.heartbeat;
+            self.own("P2220", Asked::Pose, now);
+        }
+    }
+
+    fn deadline_ns(&self) -> Option<i64> {
+        let timer = match self.chore {
+            Chore::Closed => return None,
+            Chore::Banner(until) => return Some(until),
+            Chore::Greet(since) => Some(since + self.handshake),
+            Chore::Stop { again, .. } => Some(again + STOP_AGAIN),
+            Chore::Settle { reset: Some(at), .. } => Some(at + BANNER),
+            _ => None,
+        };
+        if self.urgent.is_some() || self.ask || self.leave_alarm {
+            return Some(i64::MIN);
+        }
+        let own = (self.own_line.is_some() && self.flight.is_none()).then_some(self.own_not_before);
+        let flight = self.flight.and_then(|flight| flight.patience.map(|patience| flight.sent + patience));
+        let ask = match self.ask_sent {
+            Some(at) if self.polls() => Some(at + 2 * self.heartbeat),
+            _ if self.polls() || (self.chore == Chore::None && self.flight.is_none()) => Some(self.next_ask),
+            _ => None,
+        };
+        [timer, own, flight, ask].into_iter().flatten().min()
+    }
+
+    fn transmit(&mut self, now: i64, out: &mut [u8]) -> (usize, bool) {
+        let mut len = 0;
+        if let Some(byte) = self.urgent.take() {
+            put(out, &mut len, &[byte]);
+            return (len, true);
+        }
+        if core::mem::take(&mut self.leave_alarm) {
+            put(out, &mut len, b"$X\n");
+            return (len, false);
+        }
+        if core::mem::take(&mut self.ask) {
+            put(out, &mut len, b"?");
+            self.ask_sent = Some(now);
+            return (len, false);
+        }
+        if self.flight.is_none() && now >= self.own_not_before {
+            if let Some((line, asked)) = self.own_line.take() {
+                return (self.launch(&line, asked, Some(ANSWER), now, out), false);
+            }
+        }
+        (0, false)
+    }
+
+    fn has_urgent(&self) -> bool {
+        self.urgent.is_some()
+    }
+
+    fn takes(&self, _len: usize) -> bool {
+        self.chore == Chore::None && self.flight.is_none() && self.own_line.is_none() && !self.dirty
+    }
+
+    fn send(&mut self, line: &LineBuf, kind: Kind, _dwell_ms: u32, now: i64, out: &mut [u8]) -> usize {
+        // Firmware 4 answers a move when it is done: the status and the pick's own time-out watch over it.
+        let patience = (kind != Kind::Motion || !self.realtime).then_some(ANSWER);
+        self.idle_since = None;
+        self.launch(line, Asked::Line(kind), patience, now, out)
+    }
+
+    fn sync(&mut self, now: i64) {
+        self.look(LookFor::Sync, now);
+    }
+
+    fn stop(&mut self, now: i64) {
+        match self.chore {
+            Chore::Closed
+            | Chore::Banner(_)
+            | Chore::Greet(_)
+            | Chore::Look(LookFor::Greeting)
+            | Chore::Stop { greeting: true, .. } => {
+                if self.realtime {
+                    self.urgent = Some(b'!');
+                    self.dirty = true;
+                }
+            }
+            _ => self.halt(false, now),
+        }
+    }
+
+    fn settle(&mut self, now: i64) {
+        if self.dirty && self.realtime {
+            self.begin(Chore::Settle { reset: Some(now), unlock: false }, now);
+            self.urgent = Some(0x18);
+        } else {
+            self.dirty = false;
+            self.look(LookFor::Settled { unlock: false }, now);
+        }
+    }
+
+    fn unlock(&mut self, now: i64) {
+        self.alarm = None;
+        self.begin(Chore::Settle { reset: Some(now), unlock: true }, now);
+        self.urgent = Some(0x18);
+    }
+
+    fn ask_held(&mut self, question: &LineBuf, now: i64) {
+        self.begin(Chore::Held, now);
+        self.own_line = Some((*question, Asked::Held));
+    }
+
+    fn reach(&mut self, point_mm: [f64; 3], now: i64) {
+        self.begin(Chore::Reach, now);
+        let mut line = LineBuf::of("M2222");
+        for (letter, value) in [b'X', b'Y', b'Z'].into_iter().zip(point_mm) {
+            line.byte(b' ');
+            line.byte(letter);
+            // The gate has checked the point.
+            let _ = line.decimal(value, 3);
+        }
+        line.text(" P0");
+        self.own_line = Some((line, Asked::Reach));
+    }
+}
+
+fn far(a: [f64; 3], b: [f64; 3]) -> f64 {
+    (a[0] - b[0]).hypot(a[1] - b[1]).hypot(a[2] - b[2])
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,406 @@
+//! A controller with Marlin 2.1, as its documentation and its behaviour on a wire describe it.
+//!
+//! Numbered lines need a checksum and the next number, otherwise the receive buffer is thrown away and `Resend:`
+//! asks for the right one; lines without a number are taken as they come. A queue of 4 commands, a planner of 16
+//! moves; `ok` means done for commands and planned for moves. Commands that wait say `echo:busy: processing` every
+//! two seconds. M112, M410 act when they are read, before the queue, if they have no number; reading goes on while
+//! a command waits, as long as the queue has room.
+
+use super::motion::Mechanics;
+use super::noise::Noise;
+use super::{Faults, Motion};
+use std::collections::VecDeque;
+
+const MS: i64 = 1_000_000;
+const RX_LEN: usize = 128;
+const QUEUE_LEN: usize = 4;
+const COMMAND_LEN: usize = 96;
+const BLOCKS: usize = 15;
+const BOOT_NS: i64 = 1200 * MS;
+/// Reading, parsing and executing one short command.
+const COMMAND_NS: i64 = 700_000;
+const BUSY_NS: i64 = 2000 * MS;
+const HOMING_NS: i64 = 4000 * MS;
+const BANNER: &str = "start\r\necho:Marlin 2.1.2.5\r\n\r\necho: Last Updated: 2024-12-01 | Author: (none, default config)\r\n\
+                      echo: Free Memory: 5000  PlannerBufferBytes: 1200\r\n";
+
+/// What the command at the head of the queue waits for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Busy {
+    Off,
+    Boot(i64),
+    /// Between two commands.
+    Command(i64),
+    PlannerFull {
+        to_mm: [f64; 3],
+        speed_mm_s: f64,
+    },
+    /// M400; a dwell follows, ns.
+    Sync(i64),
+    Until(i64),
+    Homing(i64),
+    Free,
+    /// `kill()`: nothing but the button helps.
+    Dead,
+}
+
+/// The simulated controller.
+#[derive(Debug)]
+pub struct MarlinFirmware {
+    park_mm: [f64; 3],
+    noise: Noise,
+    arm: Mechanics,
+    busy: Busy,
+    busy_said_ns: i64,
+    /// `ADVANCED_OK`: `ok N3 P15 B3`.
+    advanced_ok: bool,
+    rx: VecDeque<u8>,
+    line: Vec<u8>,
+    comment: bool,
+    last_number: i64,
+    queue: VecDeque<String>,
+    feed_mm_min: f64,
+    relative: bool,
+    closed: bool,
+    holds_part: bool,
+    restart_ns: Option<i64>,
+    out: VecDeque<u8>,
+}
+
+impl MarlinFirmware {
+    /// Switched off, the arm at its park position; it boots at the first call.
+    pub fn new(park_mm: [f64; 3], faults: Faults) -> Self {
+        let noise = Noise::new(faults);
+        let mut arm = Mechanics::new(park_mm);
+        arm.pace = noise.pace();
+        Self {
+            park_mm,
+            noise,
+            arm,
+            busy: Busy::Off,
+            busy_said_ns: 0,
+            advanced_ok: false,
+            rx: VecDeque::with_capacity(RX_LEN),
+            line: Vec::with_capacity(COMMAND_LEN),
+            comment: false,
+            last_number: 0,
+            queue: VecDeque::with_capacity(QUEUE_LEN),
+            feed_mm_min: 3000.0,
+            relative: false,
+            closed: false,
+            holds_part: false,
+            restart_ns: None,
+            out: VecDeque::with_capacity(512),
+        }
+    }
+
+    /// The same built with `ADVANCED_OK`.
+    pub fn with_advanced_ok(park_mm: [f64; 3], faults: Faults) -> Self {
+        Self { advanced_ok: true, ..Self::new(park_mm, faults) }
+    }
+
+    /// Bytes that arrive.
+    pub fn on_bytes(&mut self, bytes: &[u8], now_ns: i64) {
+        self.run(now_ns);
+        for &byte in bytes {
+            let deaf = matches!(self.busy, Busy::Off | Busy::Boot(_) | Busy::Dead);
+            if !deaf && self.rx.len() < RX_LEN {
+                self.rx.push_back(byte);
+            }
+            self.run(now_ns);
+        }
+    }
+
+    /// Lets time pass; what the arm did.
+    pub fn poll(&mut self, now_ns: i64) -> Option<Motion> {
+        self.run(now_ns);
+        self.arm.motions.pop_front()
+    }
+
+    /// Bytes that it says now.
+    pub fn transmit(&mut self, now_ns: i64, out: &mut [u8]) -> usize {
+        self.run(now_ns);
+        let len = self.out.len().min(out.len());
+        for byte in &mut out[..len] {
+            *byte = self.out.pop_front().unwrap_or(0);
+        }
+        len
+    }
+
+    /// When something happens by itself.
+    pub fn next_deadline_ns(&self) -> Option<i64> {
+        let busy = match self.busy {
+            Busy::Boot(at) | Busy::Command(at) | Busy::Until(at) | Busy::Homing(at) => Some(at),
+            Busy::Off => Some(i64::MIN),
+            Busy::PlannerFull { .. } | Busy::Sync(_) => Some(self.busy_said_ns + BUSY_NS),
+            _ => None,
+        };
+        [busy, self.arm.next_ns(), self.restart_ns].into_iter().flatten().min()
+    }
+
+    /// The button. Somebody puts the arm back to its park position.
+    pub fn reset(&mut self, now_ns: i64) {
+        self.arm.kill(now_ns);
+        self.arm.put(self.park_mm);
+        self.arm.motions.push_back(Motion::Restarted);
+        self.grip(false);
+        self.rx.clear();
+        self.line.clear();
+        self.queue.clear();
+        self.out.clear();
+        self.last_number = 0;
+        self.relative = false;
+        self.restart_ns = None;
+        self.busy = Busy::Boot(now_ns + BOOT_NS);
+    }
+
+    /// No further faults.
+    pub fn heal(&mut self) {
+        self.noise.heal();
+        self.arm.pace = 1.0;
+        self.restart_ns = None;
+    }
+
+    fn say(&mut self, text: &str) {
+        self.out.extend(text.as_bytes());
+    }
+
+    fn run(&mut self, now_ns: i64) {
+        if self.busy == Busy::Off {
+            self.busy = Busy::Boot(now_ns + BOOT_NS);
+        }
+        if self.restart_ns.is_some_and(|at| at <= now_ns) {
+            self.restart_ns = None;
+            if self.arm.is_moving() {
+                self.reset(now_ns);
+            }
+        }
+        self.arm.advance(now_ns);
+        while self.step(now_ns) {
+            self.arm.advance(now_ns);
+        }
+    }
+
+    fn step(&mut self, now_ns: i64) -> bool {
+        if !matches!(self.busy, Busy::Off | Busy::Boot(_) | Busy::Dead | Busy::Homing(_)) {
+            self.read(now_ns);
+        }
+        let waits =
+            matches!(self.busy, Busy::PlannerFull { .. } | Busy::Sync(_) | Busy::Until(_) | Busy::Homing(_));
+        if waits && now_ns - self.busy_said_ns >= BUSY_NS {
+            self.busy_said_ns = now_ns;
+            self.say("echo:busy: processing\r\n");
+        }
+        match self.busy {
+            Busy::Boot(at) if now_ns >= at => {
+                self.say(BANNER);
+                self.busy = Busy::Free;
+            }
+            Busy::Command(at) if now_ns >= at => self.busy = Busy::Free,
+            Busy::PlannerFull { to_mm, speed_mm_s } if self.arm.blocks() < BLOCKS => {
+                self.arm.plan(to_mm, speed_mm_s);
+                if self.restart_ns.is_none() {
+                    self.restart_ns = self.noise.reset_after_ns().map(|after| now_ns + after);
+                }
+                self.arm.start(now_ns);
+                self.finish(now_ns);
+            }
+            Busy::Sync(dwell_ns) if self.arm.blocks() == 0 => self.busy = Busy::Until(now_ns + dwell_ns),
+            Busy::Until(at) if now_ns >= at => self.finish(now_ns),
+            Busy::Homing(at) if now_ns >= at => {
+                self.arm.put(self.park_mm);
+                self.finish(now_ns);
+            }
+            Busy::Free => {
+                let Some(command) = self.queue.front().cloned() else { return false };
+                self.execute(&command, now_ns);
+            }
+            _ => return false,
+        }
+        true
+    }
+
+    /// Puts lines into the queue while it has room; urgent ones act at once.
+    fn read(&mut self, now_ns: i64) {
+        while self.queue.len() < QUEUE_LEN {
+            let Some(byte) = self.rx.pop_front() else { return };
+            match byte {
+                b'\n' | b'\r' => {
+                    self.comment = false;
+                    let line = String::from_utf8_lossy(&self.line).trim_start().to_owned();
+                    self.line.clear();
+                    if !line.is_empty() {
+                        self.take(line, now_ns);
+                    }
+                    if self.busy == Busy::Dead {
+                        return;
+                    }
+                }
+                b';' => self.comment = true,
+                _ if self.comment || self.line.len() >= COMMAND_LEN - 1 => {}
+                _ => self.line.push(byte),
+            }
+        }
+    }
+
+    fn take(&mut self, line: String, now_ns: i64) {
+        if line.starts_with('N') {
+            let renumber = line.contains("M110");
+            let number_at = if renumber { line.rfind('N').unwrap_or(0) } else { 0 };
+            let number = leading(&line[number_at + 1..]) as i64;
+            if number != self.last_number + 1 && !renumber {
+                return self.refuse_line("Line Number is not Last Line Number+1, Last Line: ");
+            }
+            let Some(star) = line.rfind('*') else {
+                return self.refuse_line("No Checksum with line number, Last Line: ");
+            };
+            let sum = line.as_bytes()[..star].iter().fold(0, |sum, byte| sum ^ byte);
+            if leading(&line[star + 1..]) as i64 != i64::from(sum) {
+                return self.refuse_line("checksum mismatch, Last Line: ");
+            }
+            self.last_number = number;
+        }
+        match line.as_str() {
+            _ if line.starts_with("M112") => {
+                self.arm.kill(now_ns);
+                self.say("Error:Printer halted. kill() called!\r\n//action:poweroff\r\n");
+                self.busy = Busy::Dead;
+                return;
+            }
+            _ if line.starts_with("M410") => {
+                self.arm.kill(now_ns);
+                // A move that waited for room is not planned any more.
+                if let Busy::PlannerFull { .. } = self.busy {
+                    self.finish(now_ns);
+                }
+            }
+            _ => {}
+        }
+        self.queue.push_back(line);
+    }
+
+    fn refuse_line(&mut self, why: &str) {
+        self.rx.clear();
+        let last = self.last_number;
+        self.say(&format!("Error:{why}{last}\r\nResend: {}\r\nok\r\n", last + 1));
+    }
+
+    /// The command at the head of the queue is done.
+    fn finish(&mut self, now_ns: i64) {
+        let command = self.queue.pop_front().unwrap_or_default();
+        let mut ok = String::from("ok");
+        if self.advanced_ok {
+            if let Some(numbered) = command.strip_prefix('N') {
+                ok.push_str(&format!(" N{}", leading(numbered)));
+            }
+            let (blocks, room) = (BLOCKS - self.arm.blocks().min(BLOCKS), QUEUE_LEN - self.queue.len());
+            ok.push_str(&format!(" P{blocks} B{room}"));
+        }
+        ok.push_str("\r\n");
+        self.say(&ok);
+        self.busy = Busy::Command(now_ns + COMMAND_NS);
+    }
+
+    fn execute(&mut self, line: &str, now_ns: i64) {
+        self.busy_said_ns = now_ns;
+        let text = line.split('*').next().unwrap_or("");
+        let text = match text.strip_prefix('N') {
+            Some(numbered) => numbered.trim_start_matches(|c: char| c.is_ascii_digit()).trim_start(),
+            None => text,
+        };
+        let letter = text.chars().next().unwrap_or(' ').to_ascii_uppercase();
+        let code = leading(text.get(1..).unwrap_or("")) as u32;
+        let word = |letter: char| -> Option<f64> {
+            let rest = text.get(1..)?;
+            let at = rest.find(letter)?;
+            Some(leading(&rest[at + 1..]))
+        };
+        match (letter, code) {
+            ('G', 0 | 1) => return self.travel([word('X'), word('Y'), word('Z')], word('F')),
+            ('G', 4) => {
+                let ms = word('P').unwrap_or(0.0) + 1000.0 * word('S').unwrap_or(0.0);
+                self.busy = Busy::Sync((ms * 1e6) as i64);
+                return;
+            }
+            ('G', 28) => {
+                self.arm.kill(now_ns);
+                self.busy = Busy::Homing(now_ns + HOMING_NS);
+                return;
+            }
+            ('G', 90 | 91) => self.relative = code == 91,
+            ('G', 21 | 94 | 17) | ('M', 110 | 410 | 17 | 18 | 82 | 84 | 999) => {}
+            ('M', 106) => self.grip(word('S').unwrap_or(255.0) > 0.0),
+            ('M', 107) => self.grip(false),
+            ('M', 280) => self.grip(word('S').unwrap_or(0.0) > 45.0),
+            ('M', 400) => {
+                self.busy = Busy::Sync(0);
+                return;
+            }
+            ('M', 114) => {
+                let (to, at) = (self.arm.destination(), self.arm.position(now_ns));
+                self.say(&format!(
+                    "X:{:.2} Y:{:.2} Z:{:.2} E:0.00 Count X:{:.0} Y:{:.0} Z:{:.0}\r\n",
+                    to[0],
+                    to[1],
+                    to[2],
+                    at[0] * 80.0,
+                    at[1] * 80.0,
+                    at[2] * 400.0
+                ));
+            }
+            ('M', 115) => self.say(
+                "FIRMWARE_NAME:Marlin 2.1.2.5 (Dec  1 2024 12:00:00) SOURCE_CODE_URL:github.com/MarlinFirmware/Marlin \
+                 PROTOCOL_VERSION:1.0 MACHINE_TYPE:Arm EXTRUDER_COUNT:0 UUID:cede2a2f-41a2-4748-9b12-c55c62f367ff\r\n\
+                 Cap:EEPROM:1\r\nCap:EMERGENCY_PARSER:0\r\n",
+            ),
+            ('M', 119) => {
+                let probe = if self.holds_part { "TRIGGERED" } else { "open" };
+                self.say(&format!(
+                    "Reporting endstop status\r\nx_min: open\r\ny_min: open\r\nz_min: open\r\nz_probe: {probe}\r\n"
+                ));
+            }
+            _ => self.say(&format!("echo:Unknown command: \"{text}\"\r\n")),
+        }
+        self.finish(now_ns);
+    }
+
+    fn travel(&mut self, words: [Option<f64>; 3], feed: Option<f64>) {
+        if let Some(feed) = feed.filter(|&feed| feed > 0.0) {
+            self.feed_mm_min = feed;
+        }
+        let mut to_mm = self.arm.destination();
+        for (axis, word) in words.iter().enumerate() {
+            let Some(value) = word else { continue };
+            to_mm[axis] = value + if self.relative { to_mm[axis] } else { 0.0 };
+        }
+        if self.noise.refuses() {
+            self.say("echo:Home XYZ First\r\n");
+            to_mm = self.arm.destination();
+        }
+        self.busy = Busy::PlannerFull { to_mm, speed_mm_s: self.feed_mm_min / 60.0 };
+    }
+
+    fn grip(&mut self, close: bool) {
+        if close && !self.closed {
+            self.holds_part = self.noise.holds();
+            self.arm.motions.push_back(Motion::Closed { holds_part: self.holds_part });
+        } else if self.closed && !close {
+            self.holds_part = false;
+            self.arm.motions.push_back(Motion::Opened);
+        }
+        self.closed = close;
+    }
+}
+
+/// The number at the begin of a text, 0 where there is none.
+fn leading(text: &str) -> f64 {
+    let text = text.trim_start();
+    let end = text
+        .char_indices()
+        .find(|&(at, c)| !(c.is_ascii_digit() || c == '.' || (at == 0 && matches!(c, '-' | '+'))))
+        .map_or(text.len(), |(at, _)| at);
+    text[..end].parse().unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,55 @@
+//! A bad day: which of the arm's faults happens when, drawn from the seed. (A bad line is made for all dialects in
+//! one place, see [`SimulatedArm`](super::SimulatedArm).)
+
+use super::{Fault, Faults};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg32;
+
+/// Share of moves during which the controller restarts.
+const RESET_SHARE: f64 = 0.02;
+/// Share of moves that are refused.
+const REFUSED_SHARE: f64 = 0.03;
+/// Share of grips that hold nothing.
+const NOT_HELD_SHARE: f64 = 0.3;
+
+/// The draws of one simulated firmware.
+#[derive(Clone, Debug)]
+pub(crate) struct Noise {
+    faults: Faults,
+    random: Pcg32,
+}
+
+impl Noise {
+    pub(crate) fn new(faults: Faults) -> Self {
+        Self { faults, random: Pcg32::seed_from_u64(faults.seed) }
+    }
+
+    /// From now on nothing goes wrong.
+    pub(crate) fn heal(&mut self) {
+        self.faults.set = 0;
+    }
+
+    fn happens(&mut self, fault: Fault, share: f64) -> bool {
+        self.faults.has(fault) && self.random.random_bool(share)
+    }
+
+    /// Whether the controller restarts in this move, and how long after its begin, ns.
+    pub(crate) fn reset_after_ns(&mut self) -> Option<i64> {
+        self.happens(Fault::Reset, RESET_SHARE).then(|| self.random.random_range(5..400) * 1_000_000)
+    }
+
+    /// Whether this move is refused.
+    pub(crate) fn refuses(&mut self) -> bool {
+        self.happens(Fault::Refused, REFUSED_SHARE)
+    }
+
+    /// Whether a grip holds a part.
+    pub(crate) fn holds(&mut self) -> bool {
+        !self.happens(Fault::NotHeld, NOT_HELD_SHARE)
+    }
+
+    /// Factor on every speed.
+    pub(crate) fn pace(&self) -> f64 {
+        if self.faults.has(Fault::Slow) { 0.1 } else { 1.0 }
+    }
+}
