@@ -113,7 +113,7 @@ impl BridgeEnd {
 
     fn carry_out(&mut self, record: &CellRecord, carry: &mut impl FnMut(Command) -> Result<(), Refusal>) {
         let new = record.newest.wrapping_sub(self.record.acked).min(COMMANDS as u32);
-        let numbers = record.newest - new + 1..=record.newest;
+        let numbers = (0..new).rev().map(|back| record.newest.wrapping_sub(back));
         let commands = || numbers.clone().filter_map(|number| record.commands[number as usize % COMMANDS]);
         let is_hold = |(_, command): &(usize, Command)| matches!(command, Command::Hold);
         let hold = commands().enumerate().filter(is_hold).last().map(|(at, _)| at);
@@ -144,5 +144,85 @@ impl BridgeEnd {
         self.record.cell = 0;
         self.record.bridge = super::next_life(self.record.bridge);
         self.publish_due = true;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gate::tests::{pick, settings};
+    use proptest::prelude::*;
+
+    fn record(bridge: u32, newest: u32, commands: [Option<Command>; COMMANDS]) -> CellRecord {
+        CellRecord { cell: 9, bridge, sent_ns: 0, newest, commands }
+    }
+
+    /// What a bridge of life 5 carries to the arm for this record.
+    fn carried(end: &mut BridgeEnd, record: &CellRecord) -> Vec<Command> {
+        let mut carried = Vec::new();
+        end.on_record(record, 0, |command| {
+            carried.push(command);
+            Ok(())
+        });
+        carried
+    }
+
+    #[test]
+    fn what_was_meant_for_another_life_of_the_bridge_is_not_carried() {
+        let mut end = BridgeEnd::new(&settings(), 5);
+        let left = [None, Some(Command::Pick(pick())), None, None];
+        assert_eq!(carried(&mut end, &record(4, 1, left)), []);
+        assert!(!end.has_cell());
+        assert_eq!(carried(&mut end, &record(5, 0, [None; COMMANDS])), [Command::Hello]);
+        assert!(end.has_cell());
+    }
+
+    #[test]
+    fn a_hold_makes_void_what_came_with_it() {
+        let mut end = BridgeEnd::new(&settings(), 5);
+        carried(&mut end, &record(5, 0, [None; COMMANDS]));
+        let commands =
+            [None, Some(Command::Pick(pick())), Some(Command::Hold), Some(Command::Query { id: 3 })];
+        assert_eq!(carried(&mut end, &record(5, 3, commands)), [Command::Hold, Command::Query { id: 3 }]);
+        let said = end.record(0).unwrap().reports[1];
+        assert_eq!(said, Some(Report::Refused { id: 7, refusal: Refusal::OnHold }));
+        assert_eq!(carried(&mut end, &record(5, 3, commands)), [], "nothing twice");
+    }
+
+    #[test]
+    fn the_longest_records_fit_into_shared_memory() {
+        let mut longest = pick();
+        (longest.id, longest.session, longest.sequence) = (u64::MAX, u32::MAX, u32::MAX);
+        (longest.deadline_ms, longest.ttl_ms, longest.slot) = (u32::MAX, u32::MAX, u32::MAX);
+        longest.seen = crate::message::Seen { left_ns: i64::MIN, right_ns: i64::MIN, period_ns: i64::MIN };
+        let mut bytes = [0; crate::link::shared::ports::RECORD_LEN_MAX];
+        let mut cell = record(u32::MAX, u32::MAX, [Some(Command::Pick(longest)); COMMANDS]);
+        (cell.cell, cell.sent_ns) = (u32::MAX, i64::MIN);
+        postcard::to_slice(&cell, &mut bytes).unwrap();
+        let refusal = Refusal::Stale { age_ms: u32::MAX, max_ms: u32::MAX };
+        let reports = [Some(Report::Refused { id: u64::MAX, refusal }); REPORTS];
+        let sent_ns = i64::MIN;
+        let arm = ArmRecord {
+            bridge: u32::MAX,
+            cell: u32::MAX,
+            sent_ns,
+            acked: u32::MAX,
+            newest: u32::MAX,
+            reports,
+        };
+        postcard::to_slice(&arm, &mut bytes).unwrap();
+    }
+
+    proptest! {
+        #[test]
+        fn no_record_makes_a_bridge_panic(numbers in proptest::collection::vec((4u32..6, any::<u32>(), 0u8..5), 1..30)) {
+            let mut end = BridgeEnd::new(&settings(), 5);
+            for (bridge, newest, kind) in numbers {
+                let command = [None, Some(Command::Hold), Some(Command::Release), Some(Command::Pick(pick()))];
+                let command = command.get(usize::from(kind)).copied().flatten();
+                let carried = carried(&mut end, &record(bridge, newest, [command; COMMANDS]));
+                prop_assert!(carried.len() <= COMMANDS + 1);
+            }
+        }
     }
 }

@@ -18,7 +18,7 @@ use std::time::Duration;
 type Service = ipc_threadsafe::Service;
 
 /// Room for a record in postcard; the longest is a driver's with four picks.
-const RECORD_LEN_MAX: usize = 1532;
+pub(super) const RECORD_LEN_MAX: usize = 1532;
 
 /// How long to wait for the remains of a killed process to be cleared away: pauses, ms.
 const RETRY_PAUSES_MS: [u64; 6] = [20, 50, 100, 200, 400, 800];
