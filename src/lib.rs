@@ -6,6 +6,7 @@
 //! ```
 
 pub mod accuracy;
+pub mod arm;
 pub mod camera;
 pub mod cell;
 pub mod commands;
@@ -22,5 +23,6 @@ pub mod recognize;
 pub mod report;
 pub mod rig;
 pub mod session;
+pub mod telemetry;
 pub mod time;
 pub mod vision;

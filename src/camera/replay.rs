@@ -12,7 +12,7 @@ use std::time::Duration;
 use super::{Condition, Grab, Side};
 use crate::frame::{Frame, TimestampMark};
 use crate::handover::Waker;
-use crate::session::{Session, SessionError, read_picture};
+use crate::session::{RecordedPair, Session, SessionError, read_picture};
 use crate::time::Timestamp;
 
 /// Decoded pictures are kept in memory up to this size, both sides together; the rest is read when it is due.
@@ -23,7 +23,8 @@ const KEPT_BYTES_MAX: usize = 512 << 20;
 pub enum Pace {
     /// A pair every so often.
     Every(Duration),
-    /// The next pair when the cell has finished the last one: whoever finishes a pair wakes both.
+    /// The next pair when the cell has finished the last one: whoever finishes a pair wakes both. Only pairs of which
+    /// both pictures are there are played.
     Stepped([Arc<Waker>; 2]),
 }
 
@@ -91,7 +92,10 @@ impl ReplayCamera {
         let mut kept = 0;
         let mut side = |side: Side| -> Result<Self, SessionError> {
             let mut pictures = Vec::with_capacity(session.pairs.len());
-            for pair in &session.pairs {
+            let whole = |pair: &&RecordedPair| {
+                matches!(pace, Pace::Every(_)) || pair.pictures.iter().all(Option::is_some)
+            };
+            for pair in session.pairs.iter().filter(whole) {
                 let Some(path) = &pair.pictures[side.index()] else {
                     pictures.push(Picture::Absent);
                     continue;
@@ -120,7 +124,7 @@ impl ReplayCamera {
     /// Waits until the next picture is due, at most `timeout`.
     pub fn grab(&mut self, frame: &mut Frame, timeout: Duration) -> Grab {
         let give_up = Timestamp::now().after(timeout);
-        while self.next < self.moments.at.len() {
+        while self.next < self.moments.at.len() && !self.pictures.is_empty() {
             if !self.wait_due(give_up) {
                 return Grab::TimedOut;
             }
@@ -183,7 +187,6 @@ fn sleep_until(due: Timestamp) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::session::RecordedPair;
 
     /// Three pairs; the right picture of the second one is missing.
     fn session(folder: &std::path::Path) -> Session {
@@ -234,10 +237,11 @@ mod tests {
         let [mut left, _] = ReplayCamera::both(&session, &Pace::Stepped(wakers.clone()), 3).unwrap();
         let mut frame = Frame::default();
         let step = |camera: &mut ReplayCamera, frame: &mut Frame| camera.grab(frame, Duration::ZERO);
-        assert!(matches!(step(&mut left, &mut frame), Grab::Frame { .. }));
-        assert_eq!(step(&mut left, &mut frame), Grab::TimedOut);
-        wakers[0].wake();
-        assert!(matches!(step(&mut left, &mut frame), Grab::Frame { .. }));
-        assert_eq!(step(&mut left, &mut frame), Grab::TimedOut);
+        for expected in [0, 20, 0] {
+            assert!(matches!(step(&mut left, &mut frame), Grab::Frame { .. }));
+            assert_eq!(frame.bytes[0], expected, "the pair without a right picture is left out");
+            assert_eq!(step(&mut left, &mut frame), if frame.sequence < 2 { Grab::TimedOut } else { Grab::Ended });
+            wakers[0].wake();
+        }
     }
 }

@@ -1,0 +1,71 @@
+//! The arm of the cell: `enum` [`Arm`] over firmware-bridge's links.
+//!
+//! Takes commands, gives reports; owns the link. Driven by one thread. A session without messages of an arm gets the
+//! simulated one, which is a link like the others: same dialect, same gate, same bytes, only the far end is made up.
+
+use std::os::fd::BorrowedFd;
+use std::time::Duration;
+
+use firmware_bridge::config::Settings;
+use firmware_bridge::link::{Link, LinkError};
+use firmware_bridge::message::{Command, Refusal, Report};
+
+use crate::handover::wait_readable;
+use crate::time::Timestamp;
+
+/// The arm, or none.
+#[derive(Debug)]
+pub enum Arm {
+    /// The cell only looks.
+    None,
+    /// Serial line, shared memory or the simulated arm, as `[arm]` says.
+    Linked(Box<Link>),
+}
+
+impl Arm {
+    /// Opens the link that `[arm]` names.
+    ///
+    /// # Errors
+    /// What is missing or taken, with the remedy.
+    pub fn open(settings: &Settings, session_seed: u32) -> Result<Self, LinkError> {
+        Ok(Arm::Linked(Box::new(Link::open(settings, session_seed)?)))
+    }
+
+    /// Says something to the arm.
+    ///
+    /// # Errors
+    /// Why it was not taken.
+    pub fn command(&mut self, command: Command, now: Timestamp) -> Result<(), Refusal> {
+        match self {
+            Arm::None => Err(Refusal::NotConnected),
+            Arm::Linked(link) => link.command(command, now.0),
+        }
+    }
+
+    /// The next thing that the arm says.
+    pub fn poll(&mut self, now: Timestamp) -> Option<Report> {
+        match self {
+            Arm::None => None,
+            Arm::Linked(link) => link.poll(now.0),
+        }
+    }
+
+    /// The latest moment to poll again.
+    pub fn next_poll(&self) -> Option<Timestamp> {
+        match self {
+            Arm::None => None,
+            Arm::Linked(link) => link.next_deadline_ns().map(Timestamp),
+        }
+    }
+
+    /// Sleeps until `until`, until the arm says something, or until `wake` can be read.
+    pub fn wait(&self, until: Timestamp, wake: BorrowedFd<'_>) {
+        match self {
+            Arm::None => {
+                let left = until.since(Timestamp::now()).max(0);
+                wait_readable(&[wake], Some(Duration::from_nanos(left as u64)));
+            }
+            Arm::Linked(link) => link.wait(until.0, Some(wake)),
+        }
+    }
+}

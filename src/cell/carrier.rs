@@ -1,0 +1,257 @@
+//! Carries events to the core and its actions to whom they concern. Decides nothing, owns no thread, reads no clock.
+//!
+//! Takes letters and the time; owns the core, the arm and the frames that the core has not let go. The live cell
+//! runs it in the arm's thread; a session played as fast as possible runs it on the session's own time.
+
+use super::core::{Action, Actions, Core, Ending, Event, Note, PairReport, State};
+use super::desk::{Desk, File, Letter, Paper, Work};
+use super::pairing::{FrameSeen, Handle};
+use crate::arm::Arm;
+use crate::camera::{Condition, Side};
+use crate::frame::{Frame, FramePair};
+use crate::telemetry::Stage;
+use crate::time::Timestamp;
+
+const HANDLES: usize = super::core::HANDLES;
+
+/// Where the pixels of a handle are.
+#[derive(Debug, Default)]
+enum Place {
+    #[default]
+    Free,
+    Here(Frame),
+    /// With the recogniser, later with the cold thread, which gives it back to the pool.
+    Lent,
+}
+
+/// The carrier.
+pub struct Carrier<'a> {
+    desk: &'a Desk,
+    core: Core,
+    arm: Arm,
+    actions: Actions,
+    shelf: [Place; HANDLES],
+    arrivals: [Timestamp; HANDLES],
+    /// The file of the pair that the core is just being told of.
+    file: Option<Box<File>>,
+    /// For the recogniser: put there by the core's wish, taken by whoever runs this.
+    pub work: Option<Work>,
+    /// Pairs that were finished since somebody last looked.
+    pub pairs_finished: u32,
+    last_finished: Timestamp,
+    ending: Option<Ending>,
+}
+
+impl<'a> Carrier<'a> {
+    /// Everything at rest.
+    pub fn new(desk: &'a Desk, core: Core, arm: Arm) -> Self {
+        Self {
+            desk,
+            core,
+            arm,
+            actions: Actions::new(),
+            shelf: Default::default(),
+            arrivals: [Timestamp::default(); HANDLES],
+            file: None,
+            work: None,
+            pairs_finished: 0,
+            last_finished: Timestamp::default(),
+            ending: None,
+        }
+    }
+
+    /// Whether a pair is with the recogniser.
+    pub fn is_searching(&self) -> bool {
+        self.shelf.iter().any(|place| matches!(place, Place::Lent))
+    }
+
+    /// How it ended, once it has.
+    pub fn ending(&self) -> Option<Ending> {
+        self.ending
+    }
+
+    /// What the arm is doing.
+    pub fn state(&self) -> State {
+        self.core.state()
+    }
+
+    /// The arm, to wait for it.
+    pub fn arm(&self) -> &Arm {
+        &self.arm
+    }
+
+    /// When to come again if nothing happens.
+    pub fn next_turn(&self) -> Option<Timestamp> {
+        self.core.next_tick().into_iter().chain(self.arm.next_poll()).min()
+    }
+
+    /// A letter has come.
+    pub fn letter(&mut self, letter: Letter, now: Timestamp) {
+        match letter {
+            Letter::Frame(side, frame, condition, skipped) => self.frame(side, frame, condition, skipped, now),
+            Letter::Lost(side, trouble) => self.event(&Event::CameraLost { side, trouble }, now),
+            Letter::Back(side) => self.event(&Event::CameraBack { side }, now),
+            Letter::Ended(side) => self.event(&Event::CameraEnded { side }, now),
+            Letter::Recognised(pair, found, file) => {
+                self.last_finished = file.finished;
+                self.measure(&file);
+                self.file = Some(file);
+                self.event(&Event::Recognised { pair, found }, now);
+                if let Some(file) = self.file.take() {
+                    // The core had already given the pair up.
+                    self.desk.give_back(file);
+                }
+            }
+            Letter::Persisted(record, true) => self.event(&Event::Persisted(record), now),
+            Letter::Persisted(_, false) => self.event(&Event::NotPersisted, now),
+        }
+    }
+
+    /// Hears what the arm has to say, and lets time pass.
+    pub fn turn(&mut self, now: Timestamp) {
+        while let Some(report) = self.arm.poll(now) {
+            self.event(&Event::Arm(report), now);
+        }
+        self.event(&Event::Tick, now);
+    }
+
+    /// Tells the core, and does what it says.
+    pub fn event(&mut self, event: &Event, now: Timestamp) {
+        let mut actions = std::mem::take(&mut self.actions);
+        actions.clear();
+        self.core.run(event, now, &mut actions);
+        for action in actions.iter() {
+            self.act(action, now);
+        }
+        self.actions = actions;
+        self.desk.telemetry.publish(self.core.counts());
+    }
+
+    fn frame(&mut self, side: Side, frame: Frame, condition: Condition, skipped: u32, now: Timestamp) {
+        let Some(slot) = self.shelf.iter().position(|place| matches!(place, Place::Free)) else {
+            // The core holds fewer frames than there are places; a frame more than that is not one of them.
+            self.desk.pool.give(frame);
+            return;
+        };
+        let seen = FrameSeen {
+            handle: Handle(slot as u8),
+            side,
+            timestamp: frame.timestamp,
+            mark: frame.mark,
+            sequence: frame.sequence,
+            condition,
+            skipped,
+        };
+        self.arrivals[slot] = now;
+        self.desk.telemetry.record(Stage::Transfer, now.since(frame.timestamp));
+        self.shelf[slot] = Place::Here(frame);
+        self.event(&Event::Frame(seen), now);
+    }
+
+    fn act(&mut self, action: Action, now: Timestamp) {
+        match action {
+            Action::Recognise(job) => {
+                let arrived = |handle: Handle| self.arrivals[handle.index()];
+                let ready = arrived(job.pair.left.handle).max(arrived(job.pair.right.handle));
+                let [left, right] = [job.pair.left.handle, job.pair.right.handle].map(|handle| {
+                    match std::mem::replace(&mut self.shelf[handle.index()], Place::Lent) {
+                        Place::Here(frame) => frame,
+                        Place::Free | Place::Lent => unreachable!("the core gives every frame to one search"),
+                    }
+                });
+                self.desk.telemetry.record(Stage::Queue, now.since(ready));
+                self.work = Some(Work { job, pair: FramePair { left, right } });
+            }
+            Action::Free(handle) => {
+                if let Place::Here(frame) = std::mem::take(&mut self.shelf[handle.index()]) {
+                    self.desk.pool.give(frame);
+                }
+            }
+            Action::Arm(command) => {
+                let refused = self.arm.command(command, now).err();
+                if let (firmware_bridge::message::Command::Pick(pick), Some(refusal)) = (command, refused) {
+                    // Heard at the next turn at the latest; within this one the core is busy with its own event.
+                    self.not_taken(pick.id, refusal, now);
+                }
+            }
+            Action::Persist(record) => {
+                if self.desk.records.push(record).is_err() {
+                    self.event_nested(&Event::NotPersisted, now);
+                }
+                self.desk.papers_waker.wake();
+            }
+            Action::Say(note) => self.say(note, now),
+            Action::End(ending) => self.ending = Some(ending),
+        }
+    }
+
+    fn not_taken(&mut self, id: u64, refusal: firmware_bridge::message::Refusal, now: Timestamp) {
+        self.event_nested(&Event::NotTaken { id, refusal }, now);
+    }
+
+    /// An event that follows from an action of the one that is being worked off.
+    fn event_nested(&mut self, event: &Event, now: Timestamp) {
+        let mut actions = Actions::new();
+        self.core.run(event, now, &mut actions);
+        for action in actions.iter() {
+            self.act(action, now);
+        }
+    }
+
+    fn say(&mut self, note: Note, now: Timestamp) {
+        let paper = match note {
+            Note::Pair(report) => {
+                self.pairs_finished += 1;
+                Paper::Pair(report, self.file_for(&report))
+            }
+            Note::Sent { frame_to_wire_ns, .. } => {
+                self.desk.telemetry.record(Stage::FrameToWire, frame_to_wire_ns);
+                self.desk.telemetry.record(Stage::Wire, now.since(self.last_finished));
+                Paper::Note(note, now)
+            }
+            _ => Paper::Note(note, now),
+        };
+        if let Err(Paper::Pair(_, Some(file))) = self.desk.papers.push(paper) {
+            self.desk.telemetry.add_unshown();
+            self.desk.give_back(file);
+        }
+        self.desk.papers_waker.wake();
+    }
+
+    /// The file of the pair, for the cold thread, if the recogniser still finds one.
+    fn file_for(&mut self, report: &PairReport) -> Option<Box<File>> {
+        let of_this_pair = self.file.as_ref().is_some_and(|file| {
+            file.pair.left.timestamp == report.pair.left.timestamp
+                && file.pair.left.sequence == report.pair.left.sequence
+        });
+        if !of_this_pair {
+            return None;
+        }
+        if self.desk.files.is_empty() {
+            self.desk.telemetry.add_unshown();
+            return None;
+        }
+        self.file.take()
+    }
+
+    fn measure(&self, file: &File) {
+        let telemetry = &self.desk.telemetry;
+        let stages = &file.recognition.stages;
+        let earliest = file.pair.left.timestamp.min(file.pair.right.timestamp);
+        telemetry.record(Stage::FrameToResult, file.finished.since(earliest));
+        if file.refusal.is_some() {
+            return;
+        }
+        for (stage, ns) in [
+            (Stage::Decode, stages.decode_ns),
+            (Stage::Binarize, stages.binarize_ns),
+            (Stage::Thin, stages.thin_ns),
+            (Stage::Graph, stages.graph_ns),
+            (Stage::Match, stages.match_ns),
+            (Stage::Pose, stages.pose_ns),
+            (Stage::Recognition, stages.total_ns),
+        ] {
+            telemetry.record(stage, ns as i64);
+        }
+    }
+}

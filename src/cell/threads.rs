@@ -1,0 +1,323 @@
+//! The threads of a live cell, and nothing else: they carry letters, the carrier and its core do the rest.
+//!
+//! | thread | does | sleeps on | SCHED_FIFO |
+//! |---|---|---|---|
+//! | left, right | wait for a frame, hand it over | the camera | `grab_priority` |
+//! | recognise | recognise a pair, kick the watchdog | an eventfd | `recognise_priority` |
+//! | arm | the core, the link to the arm | an eventfd and the link | `arm_priority` |
+//! | cold | print, draw, write | an eventfd | none |
+//!
+//! Between them lie bounded lock-free queues; who sends wakes whom it sends to. Nothing spins. A panic in any of them
+//! stops the cell: the arm is told to hold, then the panic goes on.
+
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::{Builder, Scope};
+use std::time::Duration;
+
+use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1, SIGUSR2};
+use signal_hook::iterator::Signals;
+
+use super::carrier::Carrier;
+use super::core::{Core, Ending, Event, Operator};
+use super::desk::{Desk, Letter, Paper, Work};
+use super::notify::Watchdog;
+use super::realtime::{Rights, Wish, apply};
+use super::recogniser::recognise;
+use crate::arm::Arm;
+use crate::camera::{Camera, Grab, Side};
+use crate::frame::Frame;
+use crate::handover::{Latest, Waker};
+use crate::recognize::Recognizer;
+use crate::time::Timestamp;
+
+/// A grab thread looks this often whether the cell has ended.
+const GRAB_TIMEOUT: Duration = Duration::from_millis(100);
+/// The arm's thread looks around this often even if nobody calls.
+const ROUND_NS: i64 = 500_000_000;
+/// A stepped session goes on after so long without a pair (a picture that could not be read), ns.
+const STEP_PATIENCE_NS: i64 = 200_000_000;
+
+/// What is asked of a running cell from outside. Kept apart from the queues, so that it gets through full ones.
+#[derive(Debug)]
+pub struct Controls {
+    stop: AtomicBool,
+    hold: AtomicBool,
+    release: AtomicBool,
+    desk: Arc<Desk>,
+}
+
+impl Controls {
+    /// Nothing asked yet.
+    pub fn new(desk: Arc<Desk>) -> Self {
+        let no = || AtomicBool::new(false);
+        Self { stop: no(), hold: no(), release: no(), desk }
+    }
+
+    /// The cell is to end.
+    pub fn stop(&self) {
+        self.stop.store(true, Ordering::Release);
+        self.desk.letters_waker.wake();
+    }
+
+    /// The operator wants something.
+    pub fn operator(&self, operator: Operator) {
+        match operator {
+            Operator::Hold => self.hold.store(true, Ordering::Release),
+            Operator::Release => self.release.store(true, Ordering::Release),
+        }
+        self.desk.letters_waker.wake();
+    }
+}
+
+/// Turns signals into wishes until the process ends: SIGINT and SIGTERM stop, SIGUSR1 releases, SIGUSR2 holds.
+///
+/// # Errors
+/// The system does not let signals be caught.
+pub fn obey_signals(controls: Arc<Controls>) -> io::Result<()> {
+    let mut signals = Signals::new([SIGINT, SIGTERM, SIGUSR1, SIGUSR2])?;
+    Builder::new().name("signals".into()).spawn(move || {
+        for signal in signals.forever() {
+            match signal {
+                SIGUSR1 => controls.operator(Operator::Release),
+                SIGUSR2 => controls.operator(Operator::Hold),
+                _ => controls.stop(),
+            }
+        }
+    })?;
+    Ok(())
+}
+
+/// What the threads ask of the system.
+#[derive(Clone, Debug)]
+pub struct Wishes {
+    /// The grab threads.
+    pub grab: Wish,
+    /// The recognise thread.
+    pub recognise: Wish,
+    /// The arm's thread.
+    pub arm: Wish,
+    /// Stack of each of them, bytes.
+    pub stack_bytes: usize,
+}
+
+/// A cell that is ready to run.
+pub struct Live {
+    /// What the threads share.
+    pub desk: Arc<Desk>,
+    /// What is asked from outside.
+    pub controls: Arc<Controls>,
+    /// Left and right.
+    pub cameras: [Camera; 2],
+    /// For a session that waits for the cell: what wakes each side.
+    pub steps: Option<[Arc<Waker>; 2]>,
+    /// The recogniser.
+    pub recognizer: Recognizer,
+    /// Grasps are given in the robot's base.
+    pub in_base: bool,
+    /// The decisions.
+    pub core: Core,
+    /// The arm.
+    pub arm: Arm,
+    /// What the threads ask of the system.
+    pub wishes: Wishes,
+}
+
+/// Between the arm's thread and the recogniser.
+#[derive(Debug)]
+struct Bench {
+    work: Latest<Work>,
+    waker: Waker,
+    quit: AtomicBool,
+}
+
+/// Stops the cell should its thread end by a panic.
+struct StopOnPanic<'a>(&'a Controls);
+
+impl Drop for StopOnPanic<'_> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.0.stop();
+        }
+    }
+}
+
+/// Lets all other threads end when the arm's thread has, however it did.
+struct QuitAll<'a>(&'a Bench, &'a Desk, &'a AtomicBool);
+
+impl Drop for QuitAll<'_> {
+    fn drop(&mut self) {
+        self.0.quit.store(true, Ordering::Release);
+        self.0.waker.wake();
+        self.2.store(true, Ordering::Release);
+        self.1.papers_waker.wake();
+    }
+}
+
+/// Runs a cell until it ends. `told` hears once from every hot thread what it was granted; `cold` does the slow work
+/// in a thread of its own: it is called for every paper, and once with `None` when nothing waits.
+///
+/// # Errors
+/// A thread that cannot be started.
+pub fn run<C>(live: Live, told: impl Fn(&str, Rights) + Sync, mut cold: C) -> io::Result<Ending>
+where
+    C: FnMut(Option<Paper>) + Send,
+{
+    let Live { desk, controls, cameras, steps, mut recognizer, in_base, core, arm, wishes } = live;
+    let (desk, controls, told) = (&*desk, &*controls, &told);
+    let bench = &Bench { work: Latest::new(), waker: Waker::new()?, quit: AtomicBool::new(false) };
+    let cold_quit = &AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let cold_thread = Builder::new().name("cold".into()).spawn_scoped(scope, move || {
+            let _guard = StopOnPanic(controls);
+            cold_loop(desk, cold_quit, &mut cold);
+        })?;
+        // Whoever fails to start lets those end that have started.
+        let quit_all = QuitAll(bench, desk, cold_quit);
+        let stack = wishes.stack_bytes;
+        hot(scope, "recognise", stack, &wishes.recognise, told, move || {
+            let _guard = StopOnPanic(controls);
+            recognise_loop(desk, bench, &mut recognizer, in_base);
+        })?;
+        for (side, mut camera) in Side::BOTH.into_iter().zip(cameras) {
+            hot(scope, side.name(), stack, &wishes.grab, told, move || {
+                let _guard = StopOnPanic(controls);
+                grab_loop(desk, bench, side, &mut camera);
+            })?;
+        }
+        let carrier = Carrier::new(desk, core, arm);
+        let arm_thread = hot(scope, "arm", stack, &wishes.arm, told, move || {
+            let _quit_all = quit_all;
+            arm_loop(desk, controls, bench, steps.as_ref(), carrier)
+        })?;
+        let ending = arm_thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        cold_thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        Ok(ending)
+    })
+}
+
+/// Starts a hot thread that first asks for its rights.
+fn hot<'scope, 'env, T: Send + 'scope>(
+    scope: &'scope Scope<'scope, 'env>,
+    name: &'static str,
+    stack_bytes: usize,
+    wish: &Wish,
+    told: &'scope (impl Fn(&str, Rights) + Sync),
+    work: impl FnOnce() -> T + Send + 'scope,
+) -> io::Result<std::thread::ScopedJoinHandle<'scope, T>> {
+    let wish = wish.clone();
+    Builder::new().name(name.into()).stack_size(stack_bytes).spawn_scoped(scope, move || {
+        told(name, apply(&wish));
+        work()
+    })
+}
+
+fn grab_loop(desk: &Desk, bench: &Bench, side: Side, camera: &mut Camera) {
+    let mut frame = Frame::default();
+    let mut have = false;
+    while !bench.quit.load(Ordering::Acquire) {
+        if !have {
+            match desk.pool.take() {
+                Some(free) => (frame, have) = (free, true),
+                None => {
+                    // All frames are under way; the driver keeps the newest meanwhile.
+                    std::thread::sleep(Duration::from_millis(1));
+                    continue;
+                }
+            }
+        }
+        match camera.grab(&mut frame, GRAB_TIMEOUT) {
+            Grab::Frame { condition, skipped } => {
+                have = false;
+                desk.send(Letter::Frame(side, std::mem::take(&mut frame), condition, skipped));
+            }
+            Grab::TimedOut => {}
+            Grab::Lost(trouble) => desk.send(Letter::Lost(side, trouble)),
+            Grab::Back => desk.send(Letter::Back(side)),
+            Grab::Ended => {
+                desk.send(Letter::Ended(side));
+                break;
+            }
+        }
+    }
+}
+
+fn recognise_loop(desk: &Desk, bench: &Bench, recognizer: &mut Recognizer, in_base: bool) {
+    let mut watchdog = Watchdog::from_environment();
+    while !bench.quit.load(Ordering::Acquire) {
+        watchdog.kick(Timestamp::now());
+        bench.waker.wait(Some(watchdog.every()));
+        let Some(work) = bench.work.take() else { continue };
+        let number = work.job.pair.number;
+        let mut file = desk.files.pop().expect("the carrier leaves a file for the recogniser");
+        let found = recognise(recognizer, work, in_base, &mut file);
+        desk.send(Letter::Recognised(number, found, file));
+    }
+}
+
+fn arm_loop(
+    desk: &Desk,
+    controls: &Controls,
+    bench: &Bench,
+    steps: Option<&[Arc<Waker>; 2]>,
+    mut carrier: Carrier<'_>,
+) -> Ending {
+    let mut stepped = Timestamp::now();
+    loop {
+        desk.letters_waker.clear();
+        let now = Timestamp::now();
+        if controls.hold.swap(false, Ordering::AcqRel) {
+            carrier.event(&Event::Operator(Operator::Hold), now);
+        }
+        if controls.release.swap(false, Ordering::AcqRel) {
+            carrier.event(&Event::Operator(Operator::Release), now);
+        }
+        if controls.stop.load(Ordering::Acquire) {
+            carrier.event(&Event::Stop, now);
+        }
+        while let Some(letter) = desk.letters.pop() {
+            carrier.letter(letter, Timestamp::now());
+            pass_on(&mut carrier, bench);
+        }
+        carrier.turn(Timestamp::now());
+        pass_on(&mut carrier, bench);
+        if let Some(ending) = carrier.ending() {
+            return ending;
+        }
+        let now = Timestamp::now();
+        if let Some(sides) = steps {
+            let stuck = now.since(stepped) > STEP_PATIENCE_NS && !carrier.is_searching();
+            if std::mem::take(&mut carrier.pairs_finished) > 0 || stuck {
+                stepped = now;
+                sides.iter().for_each(|side| side.wake());
+            }
+        }
+        let until = Timestamp(now.0 + ROUND_NS);
+        let until = carrier.next_turn().map_or(until, |turn| turn.min(until));
+        carrier.arm().wait(until, std::os::fd::AsFd::as_fd(&desk.letters_waker));
+    }
+}
+
+fn pass_on(carrier: &mut Carrier<'_>, bench: &Bench) {
+    if let Some(work) = carrier.work.take() {
+        let replaced = bench.work.put(work);
+        assert!(replaced.is_none(), "the core orders one search at a time");
+        bench.waker.wake();
+    }
+}
+
+fn cold_loop(desk: &Desk, quit: &AtomicBool, cold: &mut impl FnMut(Option<Paper>)) {
+    loop {
+        desk.papers_waker.wait(Some(Duration::from_millis(500)));
+        let ending = quit.load(Ordering::Acquire);
+        cold(None);
+        while let Some(paper) = desk.papers.pop() {
+            cold(Some(paper));
+        }
+        cold(None);
+        if ending {
+            return;
+        }
+    }
+}
