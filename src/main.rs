@@ -5,7 +5,7 @@ use std::io::Write;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand, ValueEnum};
-use pickcell::commands::{accuracy, check, devices, recognize};
+use pickcell::commands::{accuracy, check, devices, recognize, run};
 
 /// Drives a robot cell: two webcams see thin parts in a bin, the arm gets grasp targets
 #[derive(Parser)]
@@ -23,6 +23,7 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    Run(run::RunArgs),
     Recognize(Box<recognize::RecognizeArgs>),
     Accuracy(accuracy::Accuracy),
     Devices(devices::DevicesArgs),
@@ -41,6 +42,11 @@ fn main() -> ExitCode {
     let cli = Cli::parse();
     start_log(cli.log_format);
     match cli.command {
+        Command::Run(args) => match run::run(&args) {
+            Ok(()) => ExitCode::SUCCESS,
+            Err(e) if e.is_closed_pipe() => ExitCode::SUCCESS,
+            Err(e) => fail(cli.log_format, &e, e.exit_code()),
+        },
         Command::Recognize(args) => match recognize::run(&args) {
             Ok(()) => ExitCode::SUCCESS,
             Err(e) if e.is_closed_pipe() => ExitCode::SUCCESS,
@@ -68,7 +74,10 @@ fn print(text: &str, code: u8) -> ExitCode {
 fn start_log(format: LogFormat) {
     use tracing_subscriber::EnvFilter;
     let filter = EnvFilter::try_from_env("PICKCELL_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
-    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    let log = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::IsTerminal::is_terminal(&std::io::stderr()));
     let started = match format {
         LogFormat::Text => log.with_target(false).try_init(),
         LogFormat::Json => log.json().try_init(),

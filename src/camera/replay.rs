@@ -240,7 +240,10 @@ mod tests {
         for expected in [0, 20, 0] {
             assert!(matches!(step(&mut left, &mut frame), Grab::Frame { .. }));
             assert_eq!(frame.bytes[0], expected, "the pair without a right picture is left out");
-            assert_eq!(step(&mut left, &mut frame), if frame.sequence < 2 { Grab::TimedOut } else { Grab::Ended });
+            assert_eq!(
+                step(&mut left, &mut frame),
+                if frame.sequence < 2 { Grab::TimedOut } else { Grab::Ended }
+            );
             wakers[0].wake();
         }
     }

@@ -88,7 +88,9 @@ impl<'a> Carrier<'a> {
     /// A letter has come.
     pub fn letter(&mut self, letter: Letter, now: Timestamp) {
         match letter {
-            Letter::Frame(side, frame, condition, skipped) => self.frame(side, frame, condition, skipped, now),
+            Letter::Frame(side, frame, condition, skipped) => {
+                self.frame(side, frame, condition, skipped, now)
+            }
             Letter::Lost(side, trouble) => self.event(&Event::CameraLost { side, trouble }, now),
             Letter::Back(side) => self.event(&Event::CameraBack { side }, now),
             Letter::Ended(side) => self.event(&Event::CameraEnded { side }, now),
@@ -202,6 +204,9 @@ impl<'a> Carrier<'a> {
         let paper = match note {
             Note::Pair(report) => {
                 self.pairs_finished += 1;
+                if let Err(why) = &report.outcome {
+                    self.desk.telemetry.add_no_pick(why);
+                }
                 Paper::Pair(report, self.file_for(&report))
             }
             Note::Sent { frame_to_wire_ns, .. } => {

@@ -10,6 +10,7 @@
 pub mod carrier;
 pub mod core;
 pub mod desk;
+pub mod fast;
 pub mod notify;
 pub mod pairing;
 pub mod realtime;

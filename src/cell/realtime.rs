@@ -148,7 +148,10 @@ mod tests {
 
     #[test]
     fn refusals_are_said_in_words() {
-        assert_eq!(Granted::No { errno: libc::EPERM }.to_string(), "not granted (Operation not permitted (os error 1))");
+        assert_eq!(
+            Granted::No { errno: libc::EPERM }.to_string(),
+            "not granted (Operation not permitted (os error 1))"
+        );
     }
 
     #[test]

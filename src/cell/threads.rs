@@ -23,7 +23,7 @@ use super::carrier::Carrier;
 use super::core::{Core, Ending, Event, Operator};
 use super::desk::{Desk, Letter, Paper, Work};
 use super::notify::Watchdog;
-use super::realtime::{Rights, Wish, apply};
+use super::realtime::{Granted, Wish, apply};
 use super::recogniser::recognise;
 use crate::arm::Arm;
 use crate::camera::{Camera, Grab, Side};
@@ -59,6 +59,11 @@ impl Controls {
     pub fn stop(&self) {
         self.stop.store(true, Ordering::Release);
         self.desk.letters_waker.wake();
+    }
+
+    /// Whether it was asked to end.
+    pub fn is_stopped(&self) -> bool {
+        self.stop.load(Ordering::Acquire)
     }
 
     /// The operator wants something.
@@ -99,6 +104,17 @@ pub struct Wishes {
     /// The arm's thread.
     pub arm: Wish,
     /// Stack of each of them, bytes.
+    pub stack_bytes: usize,
+}
+
+/// What a thread got.
+#[derive(Clone, Copy, Debug)]
+pub struct ThreadRights {
+    /// SCHED_FIFO.
+    pub fifo: Granted,
+    /// Its cores.
+    pub cores: Granted,
+    /// Its stack, bytes.
     pub stack_bytes: usize,
 }
 
@@ -160,7 +176,7 @@ impl Drop for QuitAll<'_> {
 ///
 /// # Errors
 /// A thread that cannot be started.
-pub fn run<C>(live: Live, told: impl Fn(&str, Rights) + Sync, mut cold: C) -> io::Result<Ending>
+pub fn run<C>(live: Live, told: impl Fn(&str, ThreadRights) + Sync, mut cold: C) -> io::Result<Ending>
 where
     C: FnMut(Option<Paper>) + Send,
 {
@@ -203,12 +219,13 @@ fn hot<'scope, 'env, T: Send + 'scope>(
     name: &'static str,
     stack_bytes: usize,
     wish: &Wish,
-    told: &'scope (impl Fn(&str, Rights) + Sync),
+    told: &'scope (impl Fn(&str, ThreadRights) + Sync),
     work: impl FnOnce() -> T + Send + 'scope,
 ) -> io::Result<std::thread::ScopedJoinHandle<'scope, T>> {
     let wish = wish.clone();
     Builder::new().name(name.into()).stack_size(stack_bytes).spawn_scoped(scope, move || {
-        told(name, apply(&wish));
+        let rights = apply(&wish);
+        told(name, ThreadRights { fifo: rights.fifo, cores: rights.cores, stack_bytes });
         work()
     })
 }

@@ -5,3 +5,4 @@ pub mod check;
 pub mod devices;
 pub mod pictures;
 pub mod recognize;
+pub mod run;

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 pub use histogram::{Histogram, Summary};
 
-use crate::cell::core::{Cause, Counts};
+use crate::cell::core::{Cause, Counts, NoPick};
 
 /// A part of the way from light to wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -82,6 +82,7 @@ impl Stage {
 pub struct Telemetry {
     stages: [Histogram; Stage::ALL.len()],
     counts: [AtomicU64; Cause::ALL.len()],
+    no_picks: [AtomicU64; NoPick::KINDS.len()],
     unshown: AtomicU64,
 }
 
@@ -91,6 +92,7 @@ impl Telemetry {
         Self {
             stages: std::array::from_fn(|_| Histogram::new()),
             counts: std::array::from_fn(|_| AtomicU64::new(0)),
+            no_picks: std::array::from_fn(|_| AtomicU64::new(0)),
             unshown: AtomicU64::new(0),
         }
     }
@@ -115,6 +117,17 @@ impl Telemetry {
     /// So many up to now.
     pub fn count(&self, cause: Cause) -> u64 {
         self.counts[cause as usize].load(Ordering::Relaxed)
+    }
+
+    /// A pair led to no target.
+    pub fn add_no_pick(&self, why: &NoPick) {
+        self.no_picks[why.kind()].fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Reasons for no target and how often, those that came up.
+    pub fn no_picks(&self) -> impl Iterator<Item = (&'static str, u64)> + '_ {
+        let counts = self.no_picks.iter().map(|count| count.load(Ordering::Relaxed));
+        NoPick::KINDS.into_iter().zip(counts).filter(|&(_, count)| count > 0)
     }
 
     /// A pair was handled, but the threads that print and draw had no room for it.
@@ -150,5 +163,9 @@ mod tests {
         counts.add(Cause::Sent, 3);
         telemetry.publish(&counts);
         assert_eq!((telemetry.count(Cause::Sent), telemetry.count(Cause::Done)), (3, 0));
+        telemetry.add_no_pick(&NoPick::ArmBusy);
+        assert_eq!(telemetry.no_picks().collect::<Vec<_>>(), [("arm busy", 1)]);
+        assert_eq!(NoPick::Superseded.to_string(), "recogniser busy");
+        assert_eq!(NoPick::KINDS.last(), Some(&"recogniser busy"));
     }
 }

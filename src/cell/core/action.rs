@@ -118,24 +118,61 @@ pub enum NoPick {
     Superseded,
 }
 
+impl NoPick {
+    /// All reasons in words; [`NoPick::kind`] is an index into it.
+    pub const KINDS: [&str; 22] = [
+        "bin empty",
+        "nothing recognised",
+        "all blocked",
+        "out of time",
+        "bad picture",
+        "picture over limits",
+        "calibration drifted",
+        "no base_from_left",
+        "too late",
+        "no arm",
+        "arm not connected",
+        "on hold",
+        "controller in alarm",
+        "arm not ready",
+        "arm busy",
+        "arm in view",
+        "slot not saved yet",
+        "place pattern full",
+        "all parts deferred",
+        "refused by the last gate",
+        "stopping",
+        "recogniser busy",
+    ];
+
+    /// Which of [`NoPick::KINDS`].
+    pub fn kind(&self) -> usize {
+        match self {
+            NoPick::Nothing(nothing) => *nothing as usize,
+            NoPick::Late => 8,
+            NoPick::NoArm => 9,
+            NoPick::ArmAbsent => 10,
+            NoPick::OnHold => 11,
+            NoPick::InAlarm => 12,
+            NoPick::ArmNotReady => 13,
+            NoPick::ArmBusy => 14,
+            NoPick::NotClear => 15,
+            NoPick::SlotNotSaved => 16,
+            NoPick::PlaceFull => 17,
+            NoPick::AllDeferred => 18,
+            NoPick::Gate(_) => 19,
+            NoPick::Stopping => 20,
+            NoPick::Superseded => 21,
+        }
+    }
+}
+
 impl std::fmt::Display for NoPick {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(Self::KINDS[self.kind()])?;
         match self {
-            NoPick::Nothing(nothing) => nothing.fmt(f),
-            NoPick::Late => f.write_str("too late"),
-            NoPick::NoArm => f.write_str("no arm"),
-            NoPick::ArmAbsent => f.write_str("arm not connected"),
-            NoPick::OnHold => f.write_str("on hold"),
-            NoPick::InAlarm => f.write_str("controller in alarm"),
-            NoPick::ArmNotReady => f.write_str("arm not ready"),
-            NoPick::ArmBusy => f.write_str("arm busy"),
-            NoPick::NotClear => f.write_str("arm in view"),
-            NoPick::SlotNotSaved => f.write_str("slot not saved yet"),
-            NoPick::PlaceFull => f.write_str("place pattern full"),
-            NoPick::AllDeferred => f.write_str("all parts deferred"),
-            NoPick::Gate(_) => f.write_str("refused by the last gate"),
-            NoPick::Stopping => f.write_str("stopping"),
-            NoPick::Superseded => f.write_str("recogniser busy"),
+            NoPick::Gate(refusal) => write!(f, ": {refusal}"),
+            _ => Ok(()),
         }
     }
 }

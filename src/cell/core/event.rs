@@ -116,21 +116,6 @@ pub enum Nothing {
     NoBase,
 }
 
-impl std::fmt::Display for Nothing {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Nothing::BinEmpty => "bin empty",
-            Nothing::NothingRecognised => "nothing recognised",
-            Nothing::AllBlocked => "all blocked",
-            Nothing::OutOfTime => "out of time",
-            Nothing::BadPicture => "bad picture",
-            Nothing::OverLimits => "picture over limits",
-            Nothing::CalibrationDrifted => "calibration drifted",
-            Nothing::NoBase => "no base_from_left",
-        })
-    }
-}
-
 /// What a recognition found, as far as decisions go.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Found {

@@ -1,0 +1,133 @@
+//! A session played as fast as possible, on the session's own time: one thread, every pair, the same every time.
+//!
+//! The clock of the cell stands still while a pair is recognised and jumps from one pair to the next; the simulated
+//! arm lives on the same clock. So nothing depends on the machine: neither which pairs are recognised, nor which of
+//! them lead to a target.
+
+use std::time::Duration;
+
+use super::carrier::Carrier;
+use super::core::Ending;
+use super::desk::{Desk, Letter, Paper};
+use super::recogniser::recognise;
+use crate::camera::{Camera, Condition, Grab, Side};
+use crate::frame::Frame;
+use crate::recognize::Recognizer;
+use crate::time::Timestamp;
+
+/// Turns of the arm between two pairs, at most: a simulated arm that asks for more stands still.
+const TURNS_MAX: usize = 100_000;
+
+/// A session that does not wait for the clock.
+pub struct Fast<'a> {
+    /// Frames, files and letters.
+    pub desk: &'a Desk,
+    /// Both sides of the session, which give a frame at every grab.
+    pub cameras: [Camera; 2],
+    /// Wakes the sides.
+    pub next: &'a dyn Fn(),
+    /// From one pair to the next.
+    pub period: Duration,
+    /// The recogniser.
+    pub recognizer: Recognizer,
+    /// Grasps are given in the robot's base.
+    pub in_base: bool,
+    /// The core and the arm.
+    pub carrier: Carrier<'a>,
+    /// When the session begins.
+    pub start: Timestamp,
+}
+
+impl Fast<'_> {
+    /// Plays it all; `asked_to_stop` is looked at between pairs, `cold` gets every paper.
+    pub fn run(mut self, asked_to_stop: impl Fn() -> bool, mut cold: impl FnMut(Option<Paper>)) -> Ending {
+        let mut now = self.start;
+        loop {
+            now = self.live_until(now, now.after(self.period), &mut cold);
+            if asked_to_stop() {
+                self.carrier.event(&super::core::Event::Stop, now);
+                break;
+            }
+            let ended = Side::BOTH.map(|side| self.grab(side, now));
+            (self.next)();
+            self.recognise(now);
+            self.clear_desk(now, &mut cold);
+            if ended == [true, true] {
+                break;
+            }
+        }
+        // What is under way ends, or its time does.
+        while self.carrier.ending().is_none() {
+            let then = now.after(self.period);
+            now = self.live_until(now, then, &mut cold);
+        }
+        self.clear_desk(now, &mut cold);
+        self.carrier.ending().unwrap_or(Ending::Done)
+    }
+
+    /// Lets the arm and the core live until `until`.
+    fn live_until(
+        &mut self,
+        now: Timestamp,
+        until: Timestamp,
+        cold: &mut impl FnMut(Option<Paper>),
+    ) -> Timestamp {
+        let mut now = now;
+        self.carrier.turn(now);
+        for _ in 0..TURNS_MAX {
+            self.clear_desk(now, cold);
+            match self.carrier.next_turn() {
+                Some(turn) if turn < until && self.carrier.ending().is_none() => now = now.max(turn),
+                _ => break,
+            }
+            self.carrier.turn(now);
+        }
+        self.carrier.turn(until);
+        until
+    }
+
+    /// Takes a side's next frame; whether there is none any more.
+    fn grab(&mut self, side: Side, now: Timestamp) -> bool {
+        let Some(mut frame) = self.desk.pool.take() else { return false };
+        match self.cameras[side.index()].grab(&mut frame, Duration::ZERO) {
+            Grab::Frame { condition, skipped } => {
+                frame.timestamp = now;
+                self.carrier.letter(Letter::Frame(side, frame, condition, skipped), now);
+                false
+            }
+            Grab::Ended => {
+                self.desk.pool.give(frame);
+                self.carrier.letter(Letter::Ended(side), now);
+                true
+            }
+            _ => {
+                let nothing = Frame { timestamp: now, ..frame };
+                self.carrier.letter(Letter::Frame(side, nothing, Condition::Damaged, 0), now);
+                false
+            }
+        }
+    }
+
+    fn recognise(&mut self, now: Timestamp) {
+        while let Some(work) = self.carrier.work.take() {
+            let number = work.job.pair.number;
+            let mut file = self.desk.files.pop().expect("papers are worked off after every pair");
+            let found = recognise(&mut self.recognizer, work, self.in_base, &mut file);
+            // Told on the session's time, as if it had begun when the pair was there.
+            let took_ns = file.finished.since(file.begun);
+            (file.begun, file.finished) = (now, Timestamp(now.0 + took_ns));
+            self.carrier.letter(Letter::Recognised(number, found, file), now);
+        }
+    }
+
+    fn clear_desk(&mut self, now: Timestamp, cold: &mut impl FnMut(Option<Paper>)) {
+        cold(None);
+        while let Some(paper) = self.desk.papers.pop() {
+            cold(Some(paper));
+        }
+        cold(None);
+        while let Some(letter) = self.desk.letters.pop() {
+            self.carrier.letter(letter, now);
+        }
+    }
+}

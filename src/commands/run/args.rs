@@ -1,0 +1,97 @@
+//! The command line of `pickcell run`.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+
+/// Run the cell: cameras in, grasp targets out to the arm
+///
+/// Prints a line for every frame pair and a table at the end; draws an overlay picture a pair of a recorded session.
+#[derive(Args, Debug)]
+#[command(after_help = "\
+Example: pickcell run --cell cell.toml
+         pickcell run --soak 20000 --rate 30
+
+Signals: SIGINT, SIGTERM: no further target, the arm is told to hold, exit. SIGUSR1: the operator's release.
+         SIGUSR2: the operator's hold. Software is no emergency stop.
+Exit code: 0 done, 1 the job failed, 2 wrong usage or configuration.")]
+pub struct RunArgs {
+    /// The cell
+    #[arg(long, value_name = "FILE", default_value = "cell.toml")]
+    pub cell: PathBuf,
+    /// Budget of every search in iterations instead of the time that the deadline leaves
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    pub iterations: Option<u64>,
+    /// Seed of all searches instead of the cell's
+    #[arg(long)]
+    pub seed: Option<u64>,
+    /// Folder of the overlay pictures
+    #[arg(long, value_name = "DIR", default_value = "out")]
+    pub out: PathBuf,
+    /// Which pairs get an overlay picture; default: all of a recorded session, none of live cameras and of a soak
+    #[arg(long, value_enum)]
+    pub overlay: Option<Overlays>,
+    /// How results are written to standard output
+    #[arg(long, value_enum, default_value_t = Format::Text)]
+    pub format: Format,
+    /// Endurance test: repeat the recorded session until so many pairs were played, print no lines, fail (exit
+    /// code 1) on a missed deadline or growing memory
+    #[arg(long, value_name = "PAIRS", value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
+    pub soak: Option<u64>,
+    /// Pairs a second of a soak, or max: as fast as the cell takes them
+    #[arg(long, value_name = "HZ", default_value = "max", requires = "soak")]
+    pub rate: Rate,
+}
+
+/// Which pairs get an overlay picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Overlays {
+    /// Every pair
+    All,
+    /// No pair
+    None,
+}
+
+/// How results are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Format {
+    /// Lines for people
+    Text,
+    /// One JSON object a pair, one at the end
+    Json,
+}
+
+/// Pairs a second.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Rate {
+    /// As fast as the cell takes them.
+    Max,
+    /// So many.
+    Hz(f64),
+}
+
+impl std::str::FromStr for Rate {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.parse() {
+            _ if text == "max" => Ok(Rate::Max),
+            Ok(hz) if (0.1..=1000.0).contains(&hz) => Ok(Rate::Hz(hz)),
+            _ => Err("a rate is max, or pairs a second from 0.1 to 1000".into()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_rate_is_a_number_or_max() {
+        assert_eq!("max".parse(), Ok(Rate::Max));
+        assert_eq!("30".parse(), Ok(Rate::Hz(30.0)));
+        for bad in ["0", "-1", "fast", "nan", "1e9"] {
+            assert!(bad.parse::<Rate>().unwrap_err().contains("from 0.1 to 1000"), "{bad}");
+        }
+    }
+}

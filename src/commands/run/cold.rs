@@ -1,0 +1,337 @@
+//! The slow work beside a running cell: lines, overlay pictures, log, place record, the table at the end.
+
+use std::io::{self, IsTerminal, Write};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressStyle};
+use nalgebra::Isometry3;
+use serde_json::json;
+
+use super::args::{Format, Overlays, RunArgs};
+use super::summary::{self, Endurance};
+use super::{RunError, place};
+use crate::cell::core::{Note, PairReport, TargetEnd};
+use crate::cell::desk::{Desk, File, Letter, Paper};
+use crate::cell::notify;
+use crate::cell::realtime::resident_bytes;
+use crate::config::{Backend, Cell};
+use crate::part::Part;
+use crate::picture::Picture;
+use crate::recognize::{FoundPart, Params, Side, StageTimes};
+use crate::report::overlay::Overlay;
+use crate::rig::Rig;
+use crate::time::Timestamp;
+use crate::vision::decode::{Decoder, Output};
+
+/// systemd is told a new status at most this often, ns.
+const STATUS_NS: i64 = 2_000_000_000;
+
+/// Draws overlay pictures.
+struct Painter {
+    folder: PathBuf,
+    pictures: [Picture; 2],
+    decoders: [Decoder; 2],
+    rig: Rig,
+    base_from_left: Isometry3<f64>,
+}
+
+/// Everything that the cold thread has to do with.
+pub(super) struct Cold {
+    desk: Arc<Desk>,
+    format: Format,
+    bar: ProgressBar,
+    painter: Option<Painter>,
+    parts: Vec<Part>,
+    names: Vec<String>,
+    state_file: Option<PathBuf>,
+    deadline_ns: i64,
+    endurance: Option<Endurance>,
+    /// Parts found, by model.
+    found: Vec<u64>,
+    /// Pairs that took longer than the deadline by the wall clock, also where the session's own time stood still.
+    slow: u64,
+    pairs: u64,
+    status_at: Timestamp,
+    failed: Option<RunError>,
+}
+
+impl Cold {
+    pub(super) fn new(
+        args: &RunArgs,
+        cell: &Cell,
+        desk: Arc<Desk>,
+        rig: &Rig,
+        parts: Vec<Part>,
+        names: Vec<String>,
+        period: Duration,
+    ) -> Result<Self, RunError> {
+        let replayed = cell.cameras.backend == Backend::Replay;
+        let draw = args.soak.is_none() && args.overlay.map_or(replayed, |overlay| overlay == Overlays::All);
+        let painter = match draw {
+            true => Some(Painter::new(args.out.clone(), cell.recognition_params(), rig.clone())?),
+            false => None,
+        };
+        let total = args.soak.unwrap_or(names.len() as u64);
+        Ok(Self {
+            format: args.format,
+            bar: progress_bar(total, args.format),
+            painter,
+            found: vec![0; parts.len()],
+            parts,
+            names,
+            state_file: cell.place.as_ref().map(|place| place.state.clone()),
+            deadline_ns: i64::try_from(cell.deadline(period).as_nanos()).unwrap_or(i64::MAX),
+            endurance: args.soak.map(Endurance::new),
+            slow: 0,
+            pairs: 0,
+            status_at: Timestamp::default(),
+            failed: None,
+            desk,
+        })
+    }
+
+    /// Works off a paper, and before it whatever has to be on the disk.
+    pub(super) fn take(&mut self, paper: Option<Paper>) {
+        while let Some(record) = self.desk.records.pop() {
+            let written = self.state_file.as_ref().map_or(Ok(()), |path| place::write(path, &record));
+            if let Err(reason) = &written {
+                self.log(|| tracing::error!(%reason, "cannot write the place record"));
+            }
+            self.desk.send(Letter::Persisted(record, written.is_ok()));
+        }
+        match paper {
+            None => self.tell_status(),
+            Some(Paper::Note(note, at)) => self.note(&note, at),
+            Some(Paper::Pair(report, file)) => self.pair(&report, file),
+        }
+    }
+
+    fn tell_status(&mut self) {
+        let now = Timestamp::now();
+        if now.since(self.status_at) >= STATUS_NS {
+            self.status_at = now;
+            notify::status(&summary::one_line(&self.desk.telemetry));
+        }
+    }
+
+    fn note(&self, note: &Note, at: Timestamp) {
+        let at_ms = at.0 / 1_000_000;
+        match *note {
+            Note::Pair(_) => {}
+            Note::Sent { id, frame_to_wire_ns, deadline_kept } => {
+                let frame_to_wire_ms = frame_to_wire_ns as f64 / 1e6;
+                self.log(|| tracing::info!(id, frame_to_wire_ms, deadline_kept, at_ms, "target on the wire"));
+            }
+            Note::Accepted { id } => self.log(|| tracing::info!(id, at_ms, "target accepted")),
+            Note::Ended { id, end: end @ TargetEnd::Done } => {
+                self.log(|| tracing::info!(id, at_ms, "target {end}"));
+            }
+            Note::Ended { id, end } => self.log(|| tracing::warn!(id, at_ms, "target {end}")),
+            Note::Alarm(alarm) => self.log(|| tracing::warn!(at_ms, "{alarm}")),
+            Note::CameraBack { side } => {
+                self.log(|| tracing::info!(at_ms, "{} camera delivers again", side.name()));
+            }
+            Note::Connected { session } => self.log(|| tracing::info!(session, at_ms, "arm connected")),
+            Note::Released => self.log(|| tracing::info!(at_ms, "arm released")),
+            Note::Ready => self.log(|| tracing::info!(at_ms, "arm ready")),
+            Note::SlotFilled { slot } => self.log(|| tracing::info!(slot, at_ms, "slot filled")),
+        }
+    }
+
+    fn pair(&mut self, report: &PairReport, file: Option<Box<File>>) {
+        self.pairs += 1;
+        self.bar.inc(1);
+        let mut kept = report.deadline_kept;
+        if let Some(file) = &file {
+            kept &= file.finished.since(report.pair.earliest()) <= self.deadline_ns;
+            self.slow += u64::from(!kept && report.deadline_kept);
+            for part in &file.recognition.parts {
+                self.found[part.part] += 1;
+            }
+        }
+        if let Some(endurance) = &mut self.endurance {
+            endurance.pair(self.pairs, resident_bytes);
+        } else {
+            self.tell_pair(report, file.as_deref(), kept);
+        }
+        if let Some(file) = file {
+            if self.failed.is_none()
+                && let Err(e) = self.paint(report, &file)
+            {
+                self.failed = Some(e);
+            }
+            self.desk.give_back(file);
+        }
+    }
+
+    fn name(&self, report: &PairReport) -> String {
+        let sequence = report.pair.left.sequence as usize;
+        match self.names.get(sequence % self.names.len().max(1)) {
+            Some(name) => name.clone(),
+            None => format!("{:06}", report.pair.number),
+        }
+    }
+
+    fn tell_pair(&mut self, report: &PairReport, file: Option<&File>, kept: bool) {
+        let name = self.name(report);
+        let line = match self.format {
+            Format::Text => self.text_line(&name, report, file, kept),
+            Format::Json => self.json_line(&name, report, file, kept),
+        };
+        self.print(&line);
+    }
+
+    fn text_line(&self, name: &str, report: &PairReport, file: Option<&File>, kept: bool) -> String {
+        let mut line = format!("pair {name}  ");
+        match file {
+            None => line += "not recognised",
+            Some(File { refusal: Some(refusal), .. }) => line += &refusal.to_string(),
+            Some(File { recognition, .. }) => {
+                let free = recognition.parts.iter().filter(|part| part.blocked.is_none()).count();
+                line += &format!("{:2} parts, {free:2} free", recognition.parts.len());
+                if let Some(best) = chosen(report, &recognition.parts) {
+                    let [x, y, z] = best.grasp.position_mm.coords.into();
+                    let (name, fitness) = (&self.parts[best.part].name, best.fitness);
+                    line += &format!("  {name} fitness {fitness:.3} grasp ({x:.1}, {y:.1}, {z:.1}) mm");
+                }
+            }
+        }
+        if let Some(file) = file {
+            let ms = file.finished.since(report.pair.earliest()) as f64 / 1e6;
+            line += &format!("  {ms:.2} ms, deadline {}", if kept { "kept" } else { "missed" });
+        }
+        match &report.outcome {
+            Ok(sent) => line + &format!("  target {} sent", sent.id),
+            Err(why) => line + &format!("  no target: {why}"),
+        }
+    }
+
+    fn json_line(&self, name: &str, report: &PairReport, file: Option<&File>, kept: bool) -> String {
+        let found = file.filter(|file| file.refusal.is_none()).map(|file| &file.recognition);
+        let grasp = found.and_then(|found| chosen(report, &found.parts)).map(|best| {
+            let p = best.grasp.position_mm;
+            json!({ "part": self.parts[best.part].name, "fitness": best.fitness, "position_mm": [p.x, p.y, p.z] })
+        });
+        json!({
+            "pair": name,
+            "parts": found.map(|found| found.parts.len()),
+            "free": found.map(|found| found.parts.iter().filter(|part| part.blocked.is_none()).count()),
+            "grasp": grasp,
+            "time_ms": file.map(|file| file.finished.since(report.pair.earliest()) as f64 / 1e6),
+            "deadline_kept": kept,
+            "target": report.outcome.as_ref().ok().map(|sent| sent.id),
+            "no_target": report.outcome.as_ref().err().map(ToString::to_string),
+            "error": file.and_then(|file| file.refusal.as_ref()).map(ToString::to_string),
+        })
+        .to_string()
+    }
+
+    fn paint(&mut self, report: &PairReport, file: &File) -> Result<(), RunError> {
+        let name = self.name(report);
+        let caption = match &report.outcome {
+            Ok(sent) => format!("target {}", sent.id),
+            Err(why) => format!("no target: {why}"),
+        };
+        match &mut self.painter {
+            Some(painter) => painter.paint(&name, file, &self.parts, &caption),
+            None => Ok(()),
+        }
+    }
+
+    /// Prints a line of the results; the first failure is kept for the end.
+    fn print(&mut self, line: &str) {
+        if self.failed.is_none() {
+            let result = self.bar.suspend(|| writeln!(io::stdout().lock(), "{line}"));
+            self.failed = result.err().map(RunError::Stdout);
+        }
+    }
+
+    fn log(&self, say: impl FnOnce()) {
+        self.bar.suspend(say);
+    }
+
+    /// The table, and what went wrong, if anything did.
+    pub(super) fn finish(mut self, resident_bytes: u64) -> Result<(), RunError> {
+        self.bar.finish_and_clear();
+        let found: Vec<_> =
+            self.parts.iter().map(|part| part.name.as_str()).zip(self.found.clone()).collect();
+        let telemetry = &self.desk.telemetry;
+        let table = match self.format {
+            Format::Text => summary::text(telemetry, &found, self.slow),
+            Format::Json => summary::json(telemetry, &found, self.slow).to_string(),
+        };
+        let verdict = self.endurance.take().map_or(Ok(String::new()), |endurance| {
+            endurance.verdict(telemetry, resident_bytes).map(|line| line + "\n")
+        });
+        self.print(&table);
+        if let (Ok(line), Format::Text) = (&verdict, self.format)
+            && !line.is_empty()
+        {
+            self.print(line.trim_end());
+        }
+        match self.failed.take() {
+            Some(failed) => Err(failed),
+            None => verdict.map(drop).map_err(RunError::Soak),
+        }
+    }
+}
+
+/// The part that the target is about; without one the best.
+fn chosen<'a>(report: &PairReport, parts: &'a [FoundPart]) -> Option<&'a FoundPart> {
+    let index = report.outcome.as_ref().map_or(0, |sent| usize::from(sent.candidate));
+    parts.iter().filter(|part| part.blocked.is_none()).nth(index).or(parts.first())
+}
+
+fn progress_bar(total: u64, format: Format) -> ProgressBar {
+    if format == Format::Json || !io::stderr().is_terminal() {
+        return ProgressBar::hidden();
+    }
+    let bar = if total > 0 { ProgressBar::new(total) } else { ProgressBar::new_spinner() };
+    let style = ProgressStyle::with_template("{elapsed_precise} {wide_bar} {pos}/{len} pairs");
+    bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+}
+
+impl Painter {
+    fn new(folder: PathBuf, params: Params, rig: Rig) -> Result<Self, RunError> {
+        std::fs::create_dir_all(&folder)
+            .map_err(|reason| RunError::Unwritable { path: folder.clone(), reason })?;
+        let [left, right] = params.binarize.clone();
+        let decoder = || Decoder::new(Output::Rgb, rig.left.width, rig.left.height);
+        Ok(Self {
+            folder,
+            pictures: [
+                Picture::new(left, &params, rig.left.clone())?,
+                Picture::new(right, &params, rig.right.clone())?,
+            ],
+            decoders: [decoder(), decoder()],
+            base_from_left: params.grasp.base_from_left.unwrap_or_default(),
+            rig,
+        })
+    }
+
+    fn paint(&mut self, name: &str, file: &File, parts: &[Part], caption: &str) -> Result<(), RunError> {
+        let [left, right] = &mut self.decoders;
+        let (Ok(left), Ok(right)) = (left.run(&file.pair.left), right.run(&file.pair.right)) else {
+            // The line of the pair says that it cannot be decoded; there is nothing to draw on.
+            return Ok(());
+        };
+        let mut stages = StageTimes::default();
+        for (picture, frame, side) in [(0, &file.pair.left, Side::Left), (1, &file.pair.right, Side::Right)] {
+            // Refused before by the recogniser; what was made up to there is drawn.
+            let _ = self.pictures[picture].run(frame, side, &mut stages);
+        }
+        let overlay = Overlay {
+            frames: [left, right],
+            graphs: [self.pictures[0].graph(), self.pictures[1].graph()],
+            rig: &self.rig,
+            parts,
+            found: &file.recognition.parts,
+            base_from_left: self.base_from_left,
+            caption,
+        };
+        let path = self.folder.join(format!("{name}.png"));
+        overlay.draw().write_png(&path).map_err(|reason| RunError::Unwritable { path, reason })
+    }
+}

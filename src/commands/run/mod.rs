@@ -1,0 +1,76 @@
+//! `pickcell run`: the cell itself, with live cameras or a recorded session.
+
+mod args;
+mod cold;
+mod error;
+mod place;
+mod setup;
+mod summary;
+
+use std::sync::Arc;
+
+pub use args::RunArgs;
+pub use error::RunError;
+
+use self::cold::Cold;
+use self::setup::Setup;
+use crate::cell::carrier::Carrier;
+use crate::cell::core::Ending;
+use crate::cell::fast::Fast;
+use crate::cell::notify;
+use crate::cell::realtime::{Granted, lock_memory, resident_bytes};
+use crate::cell::threads::{self, Controls, Live};
+use crate::time::Timestamp;
+
+/// Runs the cell until its session or somebody ends it.
+///
+/// # Errors
+/// [`RunError`]; its exit code says whether the job or what was given to it is to blame.
+pub fn run(args: &RunArgs) -> Result<(), RunError> {
+    let Setup { cell, core, arm, cameras, steps, recognizer, desk, wishes, fast, period, rig, parts, names } =
+        Setup::new(args)?;
+    let controls = Arc::new(Controls::new(Arc::clone(&desk)));
+    threads::obey_signals(Arc::clone(&controls)).map_err(RunError::System)?;
+    let in_base = cell.rig.base_from_left.is_some();
+    let mut cold = Cold::new(args, &cell, Arc::clone(&desk), &rig, parts, names, period)?;
+    notify::ready();
+    let ending = if fast {
+        let sides: Vec<_> = steps.into_iter().flatten().collect();
+        let next = || sides.iter().for_each(|side| side.wake());
+        let carrier = Carrier::new(&desk, core, arm);
+        let start = Timestamp::now();
+        let fast = Fast { desk: &desk, cameras, next: &next, period, recognizer, in_base, carrier, start };
+        fast.run(|| controls.is_stopped(), |paper| cold.take(paper))
+    } else {
+        say_memory(if cell.realtime.lock_memory { lock_memory() } else { Granted::NotAsked });
+        let live = Live {
+            desk: Arc::clone(&desk),
+            controls,
+            cameras,
+            steps,
+            recognizer,
+            in_base,
+            core,
+            arm,
+            wishes,
+        };
+        let told = |name: &str, rights: threads::ThreadRights| say_rights(name, &rights);
+        let cold = &mut cold;
+        threads::run(live, told, move |paper| cold.take(paper)).map_err(RunError::System)?
+    };
+    notify::stopping();
+    cold.finish(resident_bytes())?;
+    match ending {
+        Ending::Done => Ok(()),
+        Ending::WrongArm => Err(RunError::WrongArm),
+    }
+}
+
+fn say_memory(granted: Granted) {
+    tracing::info!(%granted, "locked memory");
+}
+
+fn say_rights(thread: &str, rights: &threads::ThreadRights) {
+    let (fifo, cores, stack_kib) = (rights.fifo, rights.cores, rights.stack_bytes >> 10);
+    tracing::info!(thread, sched_fifo = %fifo, cores = %cores, stack_kib, "real-time rights");
+}

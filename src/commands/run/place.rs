@@ -1,0 +1,50 @@
+//! The file that keeps the place pattern's counters through a restart.
+
+use std::fs::{self, File};
+use std::io;
+use std::path::Path;
+
+use super::RunError;
+use crate::cell::core::PlaceRecord;
+use crate::files::write_atomically;
+
+/// Reads the record; a file that is not there is a tray that is empty.
+///
+/// # Errors
+/// A file that is no record: nobody knows how full the tray is.
+pub(super) fn read(path: &Path) -> Result<PlaceRecord, RunError> {
+    let bad = |reason: String| RunError::PlaceRecord { path: path.to_owned(), reason };
+    match fs::read_to_string(path) {
+        Ok(text) => toml::from_str(&text).map_err(|e| bad(e.message().to_owned())),
+        Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(PlaceRecord::default()),
+        Err(e) => Err(bad(e.to_string())),
+    }
+}
+
+/// Writes the record so that it is on the disk, name and all, when this returns.
+pub(super) fn write(path: &Path, record: &PlaceRecord) -> io::Result<()> {
+    let text = toml::to_string(record).map_err(io::Error::other)?;
+    write_atomically(path, text.as_bytes())?;
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    File::open(folder)?.sync_all()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_record_comes_back_and_a_broken_one_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("place.state");
+        assert_eq!(read(&path).unwrap(), PlaceRecord::default());
+        let record = PlaceRecord { next_slot: 7, next_id: 1 << 50, unfinished_id: 12 };
+        write(&path, &record).unwrap();
+        assert_eq!(read(&path).unwrap(), record);
+        for broken in ["", "next_slot = -1\nnext_id = 2", "next_slot = 1\nnext_id = 2\nx = 3", "\0\0"] {
+            fs::write(&path, broken).unwrap();
+            let message = read(&path).unwrap_err().to_string();
+            assert!(message.contains("empty the tray and remove the file"), "{message}");
+        }
+    }
+}
