@@ -19,7 +19,7 @@ pub fn recognise(recognizer: &mut Recognizer, work: Work, in_base: bool, file: &
         Some(Refusal::Size { .. } | Refusal::Damaged { .. } | Refusal::Binarize { .. }) => {
             Found::nothing(Nothing::BadPicture)
         }
-        Some(Refusal::Graph { .. }) => Found::nothing(Nothing::OverLimits),
+        Some(_) => Found::nothing(Nothing::OverLimits),
         None => found(file, in_base),
     }
 }
