@@ -19,8 +19,8 @@ enum Reading {
     Weighted([i32; 3]),
     /// Every `step` bytes a luma value of full range.
     Plain { step: usize },
-    /// Every `step` bytes a Y value that a table turns to luma.
-    Table { step: usize, ycbcr: colour::Ycbcr },
+    /// Every `step` bytes a Y value of limited range.
+    Limited { step: usize, ycbcr: colour::Ycbcr },
     /// Luma that needs chroma as well: YUYV where `interleaved`, else NV12.
     Ycbcr { interleaved: bool, ycbcr: colour::Ycbcr },
 }
@@ -52,7 +52,7 @@ impl<'a> LumaView<'a> {
                 } else if ycbcr.y_offset == 0 {
                     Reading::Plain { step }
                 } else {
-                    Reading::Table { step, ycbcr }
+                    Reading::Limited { step, ycbcr }
                 }
             }
         };
@@ -81,7 +81,7 @@ impl<'a> LumaView<'a> {
                 ((sum + (1 << (colour::LUMA_SHIFT - 1))) >> colour::LUMA_SHIFT) as u8
             }
             Reading::Plain { step } => self.bytes[row + step * x],
-            Reading::Table { step, ycbcr } => ycbcr.luma(self.bytes[row + step * x], 128, 128),
+            Reading::Limited { step, ycbcr } => ycbcr.luma(self.bytes[row + step * x], 128, 128),
             Reading::Ycbcr { interleaved: true, ycbcr } => {
                 let chroma = row + 2 * (x & !1);
                 ycbcr.luma(self.bytes[row + 2 * x], self.bytes[chroma + 1], self.bytes[chroma + 3])
@@ -121,27 +121,36 @@ impl<'a> LumaView<'a> {
         }
     }
 
-    /// Luma between the four nearest pixels, bilinear; pixel centres are at whole numbers. Beyond the picture
-    /// its border goes on; a NaN coordinate counts as 0.
+    /// Luma between the four nearest pixels, bilinear, not rounded; pixel centres are at whole numbers. Beyond the
+    /// picture its border goes on; a NaN coordinate counts as 0.
     #[inline]
     pub fn sample(&self, x: f32, y: f32) -> f32 {
         let x = x.max(0.0).min((self.width - 1) as f32);
         let y = y.max(0.0).min((self.height - 1) as f32);
-        let (x0, y0) = (x as usize, y as usize);
+        // On the last column or row the share of the neighbour before is 0 instead of that of one beyond.
+        let x0 = (x as u32 as usize).min(self.width.saturating_sub(2));
+        let y0 = (y as u32 as usize).min(self.height.saturating_sub(2));
         let (fx, fy) = (x - x0 as f32, y - y0 as f32);
-        if let (Reading::Weighted(w), true) = (self.reading, x0 + 1 < self.width && y0 + 1 < self.height) {
-            let weigh = |p: &[u8], k: usize| {
-                (i32::from(p[k]) * w[0] + i32::from(p[k + 1]) * w[1] + i32::from(p[k + 2]) * w[2]) as f32
-            };
-            let begin = y0 * self.stride + 3 * x0;
-            let (above, below) = (&self.bytes[begin..begin + 6], &self.bytes[begin + self.stride..][..6]);
-            let upper = weigh(above, 0) + fx * (weigh(above, 3) - weigh(above, 0));
-            let lower = weigh(below, 0) + fx * (weigh(below, 3) - weigh(below, 0));
-            return (upper + fy * (lower - upper)) * (1.0 / (1 << colour::LUMA_SHIFT) as f32);
-        }
-        let at = |dx, dy| f32::from(self.at(x0 + dx, y0 + dy));
-        let upper = at(0, 0) + fx * (at(1, 0) - at(0, 0));
-        let lower = at(0, 1) + fx * (at(1, 1) - at(0, 1));
+        let (right, below) = (usize::from(self.width > 1), usize::from(self.height > 1));
+        let four = |step: usize| {
+            let (p, right, below) = (y0 * self.stride + x0 * step, right * step, below * self.stride);
+            [p, p + right, p + below, p + right + below]
+        };
+        let [a, b, c, d] = match self.reading {
+            Reading::Weighted(w) => four(3).map(|p| {
+                let p = &self.bytes[p..p + 3];
+                (i32::from(p[0]) * w[0] + i32::from(p[1]) * w[1] + i32::from(p[2]) * w[2]) as f32
+                    * (1.0 / (1 << colour::LUMA_SHIFT) as f32)
+            }),
+            Reading::Plain { step } => four(step).map(|p| f32::from(self.bytes[p])),
+            Reading::Limited { step, .. } => {
+                // Black is 16 and white 235, as in `Ycbcr`.
+                four(step).map(|p| ((f32::from(self.bytes[p]) - 16.0) * (255.0 / 219.0)).clamp(0.0, 255.0))
+            }
+            Reading::Ycbcr { .. } => [(0, 0), (right, 0), (0, below), (right, below)]
+                .map(|(dx, dy)| f32::from(self.at(x0 + dx, y0 + dy))),
+        };
+        let (upper, lower) = (a + fx * (b - a), c + fx * (d - c));
         upper + fy * (lower - upper)
     }
 

@@ -6,6 +6,7 @@
 use super::auto::{self, Auto};
 use super::kernel::{ByteBox, LevelBox, Luma, LumaLayout};
 use super::rows::{self, Rows};
+use super::speck::Specks;
 use crate::vision::bits::BitImage;
 use std::arch::x86_64::*;
 use std::ops::Range;
@@ -246,4 +247,10 @@ fn luma_row(luma: Luma<'_>, y: usize, row: &mut [u8]) {
 pub(super) fn auto(auto: &mut Auto, luma: Luma<'_>, dark: bool, bits: &mut BitImage) {
     let row_of = |y, row: &mut [u8]| luma_row(luma, y, row);
     auto::run(auto, dark, bits, row_of, |ys, lo, hi, bits| luma_between(luma, ys, lo, hi, bits));
+}
+
+/// See [`super::kernel::drop_specks`].
+#[target_feature(enable = "avx512f,avx512bw,avx512vbmi,avx512vnni,bmi2")]
+pub(super) fn drop_specks(specks: &mut Specks, bits: &mut BitImage, least: u32) {
+    specks.drop_smaller(bits, least);
 }

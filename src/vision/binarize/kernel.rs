@@ -3,6 +3,7 @@
 use super::auto::Auto;
 use super::plain;
 use super::rows::Rows;
+use super::speck::Specks;
 #[cfg(target_arch = "x86_64")]
 use super::{avx2, avx512};
 use crate::frame::colour::Ycbcr;
@@ -115,4 +116,9 @@ pub(super) fn luma_between(
 /// Object: brighter, or where `dark` darker, than the background around.
 pub(super) fn auto(level: Level, auto: &mut Auto, luma: Luma<'_>, dark: bool, bits: &mut BitImage) {
     dispatch!(level, auto(auto, luma, dark, bits))
+}
+
+/// Drops objects of fewer than `least` pixels.
+pub(super) fn drop_specks(level: Level, specks: &mut Specks, bits: &mut BitImage, least: u32) {
+    dispatch!(level, drop_specks(specks, bits, least))
 }

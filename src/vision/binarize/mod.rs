@@ -172,7 +172,7 @@ impl Binarize {
             ColourRange::Auto => kernel::auto(self.level, &mut self.auto, luma, self.params.inverted, bits),
         }
         self.invert_and_cut(bits);
-        self.specks.drop_smaller(bits, self.params.speck_px_min);
+        kernel::drop_specks(self.level, &mut self.specks, bits, self.params.speck_px_min);
         Ok(())
     }
 

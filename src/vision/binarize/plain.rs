@@ -3,6 +3,7 @@
 use super::auto::{self, Auto};
 use super::kernel::{ByteBox, LevelBox, Luma, LumaLayout};
 use super::rows::{self, Rows};
+use super::speck::Specks;
 use crate::frame::colour;
 use crate::vision::bits::BitImage;
 use std::ops::Range;
@@ -124,6 +125,11 @@ fn luma_of_pairs(bytes: &[u8; 128]) -> [u8; 64] {
 pub(super) fn auto(auto: &mut Auto, luma: Luma<'_>, dark: bool, bits: &mut BitImage) {
     let row_of = |y, row: &mut [u8]| luma_row(luma, y, row);
     auto::run(auto, dark, bits, row_of, |ys, lo, hi, bits| luma_between(luma, ys, lo, hi, bits));
+}
+
+/// See [`super::kernel::drop_specks`].
+pub(super) fn drop_specks(specks: &mut Specks, bits: &mut BitImage, least: u32) {
+    specks.drop_smaller(bits, least);
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@
 //! each the object is followed in a strip 64 pixels wide until it has enough pixels, which for a real one is after
 //! a few rows. Only what stays small, or is wide for its size, is followed to its end.
 
-use crate::vision::bits::BitImage;
+use crate::vision::bits::{BitImage, PAD_ROWS};
 
 /// Memory for following objects.
 #[derive(Clone, Debug)]
@@ -37,18 +37,23 @@ impl Specks {
     }
 
     /// Drops 8-connected objects of fewer than `least` pixels.
+    #[inline(always)]
     pub(super) fn drop_smaller(&mut self, bits: &mut BitImage, least: u32) {
         if least < 2 {
             return;
         }
-        for y in 0..bits.height() {
-            let mut carry = Carry::default();
-            for s in 0..bits.strips() {
-                let mut ends = carry.top_ends(bits, s, y);
-                while ends != 0 {
-                    let x = s * 64 + ends.trailing_zeros() as usize;
-                    ends &= ends - 1;
-                    self.examine(bits, x, y, least);
+        for s in 0..bits.strips() {
+            for y in (0..bits.height()).step_by(ROWS) {
+                let mut ends = top_ends(bits, s, y);
+                if ends == [0; ROWS] {
+                    continue;
+                }
+                for (y, ends) in (y..).zip(&mut ends) {
+                    while *ends != 0 {
+                        let x = s * 64 + ends.trailing_zeros() as usize;
+                        *ends &= *ends - 1;
+                        self.examine(bits, x, y, least);
+                    }
                 }
             }
         }
@@ -165,35 +170,28 @@ fn fill(seeds: u64, row: u64) -> u64 {
     to_end(seeds.reverse_bits(), row.reverse_bits()).reverse_bits()
 }
 
-/// What the search for topmost runs takes from one word of a row to the next.
-#[derive(Default)]
-struct Carry {
-    /// A touched run goes on.
-    touched: bool,
-}
+/// Rows looked at together: a 512-bit register of words. The picture's padding is at least as high.
+const ROWS: usize = 8;
 
-impl Carry {
-    /// The last pixels of the runs in this word that touch nothing in the row above.
-    fn top_ends(&mut self, bits: &BitImage, s: usize, y: usize) -> u64 {
-        let row = bits.strip(s)[y];
-        if row == 0 {
-            self.touched = false;
-            return 0;
-        }
-        let word = |s: usize, y: usize| if s < bits.strips() { bits.strip(s)[y] } else { 0 };
-        let above = if y == 0 {
-            0
-        } else {
-            let (here, left, right) =
-                (word(s, y - 1), if s == 0 { 0 } else { word(s - 1, y - 1) }, word(s + 1, y - 1));
-            here | here << 1 | here >> 1 | left >> 63 | right << 63
-        };
-        let next = word(s + 1, y);
-        let seeds = (above | u64::from(self.touched)) & row;
-        let touched = ((row.wrapping_add(seeds) ^ row) | seeds) & row;
-        self.touched = touched >> 63 != 0;
-        row & !(row >> 1 | next << 63) & !touched
-    }
+/// The last pixels of the runs in eight words that touch nothing in the rows above. A run that comes from the word
+/// before may be listed although it touches something there; following it puts that right.
+#[inline(always)]
+fn top_ends(bits: &BitImage, s: usize, y: usize) -> [u64; ROWS] {
+    let rows = |s: usize, up: usize| -> [u64; ROWS] {
+        let begin = s * bits.strip_stride() + PAD_ROWS + y - up;
+        bits.words().get(begin..).and_then(|words| words.first_chunk()).copied().unwrap_or_default()
+    };
+    let (row, above) = (rows(s, 0), rows(s, 1));
+    let left = if s == 0 { [0; ROWS] } else { rows(s - 1, 1) };
+    let (right, next) =
+        if s + 1 == bits.strips() { ([0; ROWS], [0; ROWS]) } else { (rows(s + 1, 1), rows(s + 1, 0)) };
+    std::array::from_fn(|i| {
+        let above = above[i] | above[i] << 1 | above[i] >> 1 | left[i] >> 63 | right[i] << 63;
+        // A carry runs from what touches to the end of its run.
+        let seeds = above & row[i];
+        let touched = (row[i].wrapping_add(seeds) ^ row[i]) | seeds;
+        row[i] & !(row[i] >> 1 | next[i] << 63) & !touched
+    })
 }
 
 /// Following an object a pixel at a time.
