@@ -69,6 +69,7 @@ pub struct V4lCamera {
     pause: Duration,
     was_lost: bool,
     unknown_clock_told: bool,
+    told: Option<String>,
 }
 
 impl V4lCamera {
@@ -85,6 +86,7 @@ impl V4lCamera {
             pause: REOPEN_PAUSE.0,
             was_lost: false,
             unknown_clock_told: false,
+            told: None,
         })
     }
 
@@ -112,11 +114,20 @@ impl V4lCamera {
         match Stream::open(&self.settings) {
             Ok(stream) => self.stream = Some(stream),
             Err(error) => {
-                tracing::debug!(%error, "camera not back yet");
+                self.tell(&error);
                 self.back_off();
             }
         }
         Grab::TimedOut
+    }
+
+    /// Says why the camera does not come back: once, until something else is in the way.
+    fn tell(&mut self, error: &CameraError) {
+        let problem = error.to_string();
+        if self.told.as_ref() != Some(&problem) {
+            tracing::warn!("not open again: {problem}");
+            self.told = Some(problem);
+        }
     }
 
     fn back_off(&mut self) {
@@ -135,6 +146,7 @@ impl V4lCamera {
         stream.quiet_until = Timestamp::now().after(stall_after(&self.settings));
         if std::mem::take(&mut self.was_lost) {
             self.pause = REOPEN_PAUSE.0;
+            self.told = None;
             // The frame that proved it is old by the time anyone hears of it: the next one counts.
             return match stream.give_back(taken.buffer) {
                 Ok(()) => Grab::Back,

@@ -4,7 +4,7 @@ use std::io;
 use std::path::Path;
 use std::time::Duration;
 
-use firmware_bridge::config::{LinkName, Settings};
+use firmware_bridge::config::{LinkName, Resume, Settings};
 use firmware_bridge::link::{SharedError, SharedMemoryLink};
 use firmware_bridge::message::Report;
 use rustix::fs::{Access, Mode, OFlags};
@@ -32,9 +32,30 @@ pub(super) fn check(cell: &Cell, findings: &mut Findings) {
         },
         LinkName::SharedMemory => shared_memory(&cell.arm_side, findings),
     }
+    arm_times(cell, findings);
     if let Some(place) = &cell.place {
         let folder = place.state.parent().filter(|folder| !folder.as_os_str().is_empty());
         writable("place.state", folder.unwrap_or(Path::new(".")), findings);
+    }
+}
+
+/// Keys of [arm] that are allowed, and may still not be what one wants.
+fn arm_times(cell: &Cell, findings: &mut Findings) {
+    let arm = &cell.arm_side.arm;
+    if arm.resume == Resume::Auto && arm.link != LinkName::Replay {
+        findings.warning(
+            "arm.resume",
+            "\"auto\": the arm begins to move by itself after a crash, a reset or a restart",
+            "write resume = \"manual\" unless nobody can ever stand near the arm",
+        );
+    }
+    let ttl = Duration::from_millis(arm.ttl_ms.into());
+    if let Some(deadline) = cell.deadline.filter(|deadline| *deadline >= ttl) {
+        findings.warning(
+            "arm.ttl_ms",
+            format!("targets live {} ms, the deadline is {} ms", ttl.as_millis(), deadline.as_millis()),
+            "give targets more time to live than the deadline, or all that use it up come too late",
+        );
     }
 }
 

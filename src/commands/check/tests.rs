@@ -90,3 +90,15 @@ fn a_regular_file_is_no_serial_port() {
     assert_eq!(code, 2);
     assert!(text.contains("cell.toml is no serial port"), "{text}");
 }
+
+#[test]
+fn a_real_arm_that_resumes_by_itself_is_warned_of() {
+    let (_folder, cell) =
+        changed("link = \"replay\"", "link = \"serial\"\nttl_ms = 50\nport = \"/dev/ptmx\"");
+    let text =
+        fs::read_to_string(&cell).expect("a cell").replace("# deadline_ms = 66.7", "deadline_ms = 66.7");
+    fs::write(&cell, text).expect("a file");
+    let words = findings(&cell).in_words();
+    assert!(words.contains("WARNING  arm.resume: \"auto\": the arm begins to move by itself"), "{words}");
+    assert!(words.contains("WARNING  arm.ttl_ms: targets live 50 ms, the deadline is 66 ms"), "{words}");
+}
