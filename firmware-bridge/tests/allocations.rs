@@ -3,7 +3,7 @@
 use firmware_bridge::config::{DialectName, Settings};
 use firmware_bridge::dialect::{Dialect, TRANSMIT_LEN_MIN};
 use firmware_bridge::link::shared::{BridgeEnd, CellEnd};
-use firmware_bridge::message::{Command, Pick, Pose, Report, Seen};
+use firmware_bridge::message::{ArmAxes, Command, Pick, Pose, Report, Seen};
 use firmware_bridge::simulate::{Faults, SimulatedArm};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -49,6 +49,9 @@ fn settings(dialect: DialectName) -> Settings {
         "[workspace]\nmin_mm = [-200, -200, 0]\nmax_mm = [200, 200, 300]\n[arm]\nbanner_wait_ms = 100\n";
     let mut settings = Settings::parse(text).unwrap();
     settings.arm.dialect = dialect;
+    if dialect != DialectName::Own {
+        settings.arm.axes = ArmAxes::Xyz;
+    }
     settings
 }
 
@@ -114,7 +117,9 @@ fn run(name: DialectName) {
 
 #[test]
 fn dialects_allocate_nothing_after_new() {
-    run(DialectName::Own);
+    for dialect in [DialectName::Own, DialectName::Grbl, DialectName::Marlin, DialectName::Uarm] {
+        run(dialect);
+    }
 }
 
 #[test]

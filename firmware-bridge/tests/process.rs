@@ -1,8 +1,9 @@
 //! The program itself: simulated arm, bridge and a driver's end of the shared memory, as processes.
 
+use clap::ValueEnum;
 use firmware_bridge::config::Settings;
 use firmware_bridge::link::{Link, monotonic_ns};
-use firmware_bridge::message::{Command, Disconnect, Pick, Pose, Refusal, Report, Seen};
+use firmware_bridge::message::{ArmAxes, Command, Disconnect, Pick, Pose, Refusal, Report, Seen};
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command as Process, Stdio};
@@ -50,8 +51,8 @@ fn wait_for_file(path: &Path) {
     }
 }
 
-fn simulate(pty: &Path, more: &[&str]) -> Running {
-    let arguments = ["simulate", "--pty", pty.to_str().unwrap(), "--dialect", "own"];
+fn simulate(pty: &Path, dialect: &str, more: &[&str]) -> Running {
+    let arguments = ["simulate", "--pty", pty.to_str().unwrap(), "--dialect", dialect];
     let arm = Running::start(&[&arguments[..], more].concat());
     wait_for_file(pty);
     arm
@@ -124,13 +125,38 @@ fn place_one(link: &mut Link, session: u32, id: u64) {
 }
 
 #[test]
-fn a_serial_driver_picks_with_the_simulated_arm_and_it_ends_cleanly() {
+fn the_own_dialect_picks_over_a_pty() {
+    pick_over_a_pty("own");
+}
+
+#[test]
+fn grbl_picks_over_a_pty() {
+    pick_over_a_pty("grbl");
+}
+
+#[test]
+fn marlin_picks_over_a_pty() {
+    pick_over_a_pty("marlin");
+}
+
+#[test]
+fn uarm_picks_over_a_pty() {
+    pick_over_a_pty("uarm");
+}
+
+/// A serial driver places a part with the simulated arm, which then ends cleanly.
+fn pick_over_a_pty(dialect: &str) {
     let folder = tempfile::tempdir().unwrap();
     let pty = folder.path().join("arm");
     let placed = folder.path().join("placed");
     let note = format!("echo placed >>{}", placed.display());
-    let mut arm = simulate(&pty, &["--format", "json", "--on-place", &note]);
-    let (_, settings) = write_cell(folder.path(), "serial", "serial");
+    let mut arm = simulate(&pty, dialect, &["--format", "json", "--on-place", &note]);
+    let (_, mut settings) = write_cell(folder.path(), "serial", "serial");
+    settings.arm.dialect = firmware_bridge::config::DialectName::from_str(dialect, false).unwrap();
+    settings.arm.banner_wait_ms = 200;
+    if dialect != "own" {
+        settings.arm.axes = ArmAxes::Xyz;
+    }
     let mut link = Link::open(&settings, 7).unwrap();
     let session = wait_connected(&mut link);
     place_one(&mut link, session, 1);
@@ -148,7 +174,7 @@ fn a_serial_driver_picks_with_the_simulated_arm_and_it_ends_cleanly() {
 #[test]
 fn targets_go_through_shared_memory_and_either_side_may_be_killed() {
     let folder = tempfile::tempdir().unwrap();
-    let _arm = simulate(&folder.path().join("arm"), &[]);
+    let _arm = simulate(&folder.path().join("arm"), "own", &[]);
     let (cell, settings) = write_cell(folder.path(), "shared", "shared-memory");
     let run = ["run", "--cell", cell.to_str().unwrap()];
     // The driver first, the bridge later.

@@ -208,7 +208,6 @@ fn no_target_twice_none_stale_none_lost_without_a_word_no_deadlock() {
         {
             continue;
         }
-        println!("{dialect:?}, seed {seed}");
         done += u64::from(run(dialect, seed));
         taken += 1;
     }
