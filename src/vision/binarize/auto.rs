@@ -166,7 +166,7 @@ impl Grid {
     #[inline(always)]
     fn spread(&mut self, band: usize, out: &mut [u8]) {
         let near = band / 2;
-        let far = if band % 2 == 0 { near.saturating_sub(1) } else { (near + 1).min(self.rows - 1) };
+        let far = if band.is_multiple_of(2) { near.saturating_sub(1) } else { (near + 1).min(self.rows - 1) };
         let [near, far] = [near, far].map(|row| &self.level[row * self.pitch..][..self.columns]);
         for (out, (&near, &far)) in self.between[1..].iter_mut().zip(near.iter().zip(far)) {
             *out = 3 * u16::from(near) + u16::from(far);
@@ -258,7 +258,7 @@ impl Grid {
 /// `(background + 16) * contrast - 16`, or for dark parts divided; 8 fractional bits.
 #[inline(always)]
 fn level_at<const DARK: bool>(background: u8, factor: u32) -> u8 {
-    let level = (u32::from(background) + u32::from(OFFSET)) * factor >> 8;
+    let level = ((u32::from(background) + u32::from(OFFSET)) * factor) >> 8;
     level.saturating_sub(u32::from(OFFSET)).min(255) as u8
 }
 

@@ -129,9 +129,9 @@ impl Levels {
             _mm256_adds_epi16(y, _mm256_shuffle_epi8(blue_red, self.even)),
         ];
         let mut outside = _mm256_setzero_si256();
-        for c in 0..3 {
-            outside = _mm256_or_si256(outside, _mm256_cmpgt_epi16(self.lo[c], levels[c]));
-            outside = _mm256_or_si256(outside, _mm256_cmpgt_epi16(levels[c], self.hi[c]));
+        for (level, (lo, hi)) in levels.into_iter().zip(self.lo.into_iter().zip(self.hi)) {
+            outside = _mm256_or_si256(outside, _mm256_cmpgt_epi16(lo, level));
+            outside = _mm256_or_si256(outside, _mm256_cmpgt_epi16(level, hi));
         }
         outside
     }

@@ -157,7 +157,7 @@ impl Levels {
             _mm512_adds_epi16(y, _mm512_shuffle_epi8(blue_red, self.even)),
         ];
         let mut inside = u32::MAX;
-        for c in 0..3 {
+        for c in [0, 1, 2] {
             inside = _mm512_mask_cmpge_epi16_mask(inside, levels[c], self.lo[c]);
             inside = _mm512_mask_cmple_epi16_mask(inside, levels[c], self.hi[c]);
         }
