@@ -15,7 +15,7 @@ use crate::time::Budget;
 /// Example: pickcell accuracy ../shared/scenes --out out/accuracy
 #[derive(clap::Args, Debug)]
 pub struct Accuracy {
-    /// Folder with sets/<set>/scene-NN and parts/, or with sequences (left/, right/, truth/).
+    /// Folder with sets/SET/scene-NN and parts/, or with sequences (left/, right/, truth/).
     pub root: PathBuf,
     /// Only these sets.
     #[arg(long = "set")]
@@ -29,7 +29,7 @@ pub struct Accuracy {
     /// Random seed.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Write OUT/<set>/<scene>/results.json, as score.py reads them.
+    /// Write OUT/SET/SCENE/results.json, as score.py reads them.
     #[arg(long)]
     pub out: Option<PathBuf>,
     /// A line for every wrong or missed part.

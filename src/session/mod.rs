@@ -1,8 +1,8 @@
 //! Recorded sessions: what two cameras saw.
 //!
 //! Takes a folder with `left/`, `right/` (png or jpg, paired by equal names) and `session.toml` (`rate_hz`); gives
-//! the pairs in order of name, as [`Frame`]s like those of a camera: a JPEG stays as it is ([`PixelFormat::Mjpeg`]),
-//! a PNG becomes RGB or grey. Time stamps are index / rate.
+//! the pairs in order of name, as [`Frame`](crate::frame::Frame)s like those of a camera: a JPEG stays as it is
+//! ([MJPEG](crate::frame::PixelFormat::Mjpeg)), a PNG becomes RGB or grey. Time stamps are index / rate.
 
 mod picture;
 
