@@ -11,11 +11,14 @@
 //!
 //! Sources: Grbl v1.1 interface documentation (doc/markdown/interface.md), checked against its behaviour.
 
+mod status;
+mod wire;
+
+use self::status::{State, Status, is_banner, understood};
 use super::engine::Driver;
 use super::line::{self, Assembler, LineBuf};
-use super::wire::{CODE_UNANSWERED, CODE_UNNUMBERED, Event, Events, MS, Preamble, Wire, put};
+use super::wire::{CODE_UNANSWERED, CODE_UNNUMBERED, Event, Events, MS, put};
 use super::words::Kind;
-use crate::config::Settings;
 use std::collections::VecDeque;
 
 /// An arm with Grbl 1.1.
@@ -80,22 +83,6 @@ enum Chore {
 struct Flight {
     len: usize,
     kind: Option<Kind>,
-}
-
-/// The state in a status report.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum State {
-    Idle,
-    Run,
-    /// Decelerating.
-    Holding,
-    /// Held, or a door closed again: nothing moves.
-    Held,
-    Jog,
-    Alarm,
-    /// Open door, check mode, sleep: nothing moves.
-    Blocked,
-    Home,
 }
 
 /// Grbl's end of the wire.
@@ -333,7 +320,9 @@ impl GrblWire {
                     self.begin(Chore::Settle { reset: Some(now) }, now);
                 }
             },
-            Chore::Unlock { reset: None, sent: true } if fresh && self.flights.is_empty() => {
+            Chore::Unlock { reset: None, sent: true }
+                if fresh && self.flights.is_empty() && self.own_line.is_none() =>
+            {
                 if status.state == State::Idle {
                     self.chore = Chore::None;
                     events.push(Event::Unlocked);
@@ -393,311 +382,6 @@ impl GrblWire {
         if !waits && now - since >= ANSWER_LOST {
             self.idle_since = None;
             events.push(Event::LineFailed(CODE_UNANSWERED));
-        }
-    }
-}
-
-impl Wire for GrblWire {
-    const PREAMBLE: &'static [Preamble] = &[Preamble { text: "G90 G21 G94", optional: false }];
-    const TOLERANCE_MM: f64 = 0.5;
-    const KNOWS_POSITION: bool = false;
-    const CHECKS_REACH: bool = false;
-    const WAITS_HERE: bool = false;
-
-    fn new(settings: &Settings) -> Self {
-        let arm = &settings.arm;
-        Self {
-            incoming: Assembler::new(),
-            chore: Chore::Closed,
-            heartbeat: i64::from(arm.heartbeat_ms) * MS,
-            silence: (i64::from(arm.heartbeat_timeout_ms) * MS).max(SILENCE_MIN),
-            banner_wait: i64::from(arm.banner_wait_ms) * MS,
-            handshake: i64::from(arm.handshake_timeout_ms) * MS,
-            rx_len: RX_LEN,
-            flights: VecDeque::with_capacity(LINES_AHEAD + 4),
-            urgent: None,
-            own_line: None,
-            ask: false,
-            asked: None,
-            fresh: false,
-            next_ask: 0,
-            heard: 0,
-            unanswered: 0,
-            foreign: false,
-            restarted: false,
-            dirty: false,
-            alarm: None,
-            locked: false,
-            idle_since: None,
-            offset_mm: None,
-            held_sign: arm.moves.held.as_ref().map_or_else(Box::default, |held| held.expect.as_str().into()),
-        }
-    }
-
-    fn open(&mut self, now: i64) {
-        self.greet(now);
-        self.rx_len = RX_LEN;
-        self.begin(Chore::Banner(now + self.banner_wait), now);
-    }
-
-    fn greet(&mut self, now: i64) {
-        self.incoming.clear();
-        // What was on its way may still be in the controller.
-        self.dirty |= !self.flights.is_empty();
-        self.flights.clear();
-        self.own_line = None;
-        self.urgent = None;
-        self.ask = false;
-        self.asked = None;
-        self.unanswered = 0;
-        self.foreign = false;
-        self.alarm = None;
-        self.locked = false;
-        self.heard = now;
-        self.begin(Chore::Greet(now), now);
-    }
-
-    fn close(&mut self) {
-        self.chore = Chore::Closed;
-        self.dirty = true;
-    }
-
-    fn on_bytes(&mut self, bytes: &[u8], now: i64, events: &mut Events) {
-        for &byte in bytes {
-            if let Some(line) = self.incoming.push(byte) {
-                let before = events.garbage;
-                self.text(line.text(), now, events);
-                if events.garbage == before {
-                    self.heard = now;
-                }
-            }
-        }
-        events.garbage += self.incoming.take_garbage();
-    }
-
-    fn on_time(&mut self, now: i64, events: &mut Events) {
-        match self.chore {
-            Chore::Closed => return,
-            Chore::Banner(until) => {
-                if now >= until {
-                    self.begin(Chore::Greet(now), now);
-                }
-                return;
-            }
-            Chore::Greet(since) if now - since >= self.handshake => {
-                self.unanswered = self.unanswered.saturating_add(1);
-                if core::mem::take(&mut self.foreign) {
-                    events.push(Event::WrongDialect);
-                }
-                // A limit alarm answers to nothing but a reset; nothing else is lost by one.
-                if self.unanswered % 3 == 0 {
-                    self.reset();
-                }
-                self.begin(Chore::Greet(now), now);
-            }
-            Chore::Info(since) if now - since >= self.handshake => {
-                self.flights.clear();
-                self.begin(Chore::Greet(now), now);
-            }
-            Chore::Stop { since, again } => {
-                if now - since >= STOP_RESET {
-                    self.reset();
-                    self.dirty = true;
-                    self.chore = Chore::Stop { since: now, again: now };
-                } else if now - again >= STOP_AGAIN {
-                    self.urgent = Some(b'!');
-                    self.chore = Chore::Stop { since, again: now };
-                }
-            }
-            Chore::Settle { reset: Some(at) } | Chore::Unlock { reset: Some(at), .. }
-                if now - at >= BANNER =>
-            {
-                self.chore = Chore::None;
-                return events.push(Event::Silent);
-            }
-            _ => {}
-        }
-        let waits_for_banner =
-            matches!(self.chore, Chore::Settle { reset: Some(_) } | Chore::Unlock { reset: Some(_), .. });
-        if self.homing() || self.locked || waits_for_banner {
-            self.heard = now;
-            return;
-        }
-        let greets = matches!(self.chore, Chore::Greet(_) | Chore::Info(_));
-        if !greets && self.asked.is_some() && now - self.heard >= self.silence {
-            return events.push(Event::Silent);
-        }
-        if self.asked.is_some_and(|at| now - at >= ASK_AGAIN) {
-            self.asked = None;
-        }
-        if now >= self.next_ask && self.asked.is_none() && !matches!(self.chore, Chore::Info(_)) {
-            self.ask = true;
-            self.next_ask = now
-                + match self.chore {
-                    Chore::None | Chore::Greet(_) => self.heartbeat.max(ASK_OFTEN),
-                    Chore::Sync { done: false } => self.heartbeat.min(ASK_MOVING),
-                    _ => ASK_OFTEN,
-                };
-        }
-    }
-
-    fn deadline_ns(&self) -> Option<i64> {
-        let timer = match self.chore {
-            Chore::Closed => return None,
-            Chore::Banner(until) => return Some(until),
-            Chore::Greet(since) | Chore::Info(since) => Some(since + self.handshake),
-            Chore::Stop { since, again } => Some((since + STOP_RESET).min(again + STOP_AGAIN)),
-            Chore::Settle { reset: Some(at) } | Chore::Unlock { reset: Some(at), .. } => Some(at + BANNER),
-            _ => None,
-        };
-        if self.ask || self.urgent.is_some() || self.own_line.is_some() {
-            return Some(i64::MIN);
-        }
-        let waits = matches!(
-            self.chore,
-            Chore::Info(_) | Chore::Settle { reset: Some(_) } | Chore::Unlock { reset: Some(_), .. }
-        );
-        let polls = !(self.homing() || self.locked || waits);
-        let ask = polls.then(|| match self.asked {
-            Some(at) => (at + ASK_AGAIN).min(self.heard.max(at) + self.silence),
-            None => self.next_ask,
-        });
-        [timer, ask].into_iter().flatten().min()
-    }
-
-    fn transmit(&mut self, now: i64, out: &mut [u8]) -> (usize, bool) {
-        let mut len = 0;
-        if let Some(byte) = self.urgent.take() {
-            put(out, &mut len, &[byte]);
-            return (len, true);
-        }
-        if core::mem::take(&mut self.ask) {
-            put(out, &mut len, b"?");
-            self.asked = Some(now);
-            // The answer to this one belongs to the chore under way.
-            self.fresh = true;
-            return (len, false);
-        }
-        let fits = |line: &LineBuf| self.used() + line.len() < self.rx_len;
-        if self.own_line.as_ref().is_some_and(fits) {
-            let line = self.own_line.take().unwrap_or(LineBuf::new());
-            put(out, &mut len, line.as_bytes());
-            put(out, &mut len, b"\n");
-            self.flights.push_back(Flight { len, kind: None });
-        }
-        (len, false)
-    }
-
-    fn has_urgent(&self) -> bool {
-        self.urgent.is_some()
-    }
-
-    fn takes(&self, len: usize) -> bool {
-        self.chore == Chore::None
-            && self.alarm.is_none()
-            && !self.dirty
-            && self.flights.len() < LINES_AHEAD
-            && self.used() + len < self.rx_len
-    }
-
-    fn send(&mut self, line: &LineBuf, kind: Kind, _dwell_ms: u32, _now: i64, out: &mut [u8]) -> usize {
-        let mut len = 0;
-        put(out, &mut len, line.as_bytes());
-        put(out, &mut len, b"\n");
-        self.flights.push_back(Flight { len, kind: Some(kind) });
-        self.idle_since = None;
-        len
-    }
-
-    fn sync(&mut self, now: i64) {
-        self.own_line = Some(LineBuf::of("G4 P0"));
-        self.begin(Chore::Sync { done: false }, now);
-        self.next_ask = now + ASK_OFTEN;
-    }
-
-    fn stop(&mut self, now: i64) {
-        // A homing cycle obeys nothing but a reset.
-        self.urgent = Some(if self.homing() { 0x18 } else { b'!' });
-        self.own_line = None;
-        if !matches!(self.chore, Chore::Closed | Chore::Banner(_) | Chore::Greet(_) | Chore::Info(_)) {
-            self.begin(Chore::Stop { since: now, again: now }, now);
-        }
-        self.dirty = true;
-    }
-
-    fn settle(&mut self, now: i64) {
-        self.begin(Chore::Settle { reset: None }, now);
-    }
-
-    fn unlock(&mut self, now: i64) {
-        self.reset();
-        self.begin(Chore::Unlock { reset: Some(now), sent: false }, now);
-    }
-
-    fn ask_held(&mut self, _question: &LineBuf, now: i64) {
-        self.begin(Chore::Held, now);
-    }
-
-    fn reach(&mut self, _point_mm: [f64; 3], _now: i64) {}
-}
-
-/// `Grbl 1.1h ['$' for help]`, `GrblHAL 1.1f […]`, also with a byte lost.
-fn is_banner(text: &str) -> bool {
-    text.starts_with("Grbl") || text.ends_with("for help]") || text.ends_with("for info]")
-}
-
-/// Whether a version number, as in `1.1h` or `1.1h.20190825:`, is 1.1 or later.
-fn understood(version: &str) -> bool {
-    let Some((major, rest)) = line::leading_integer(version.trim_start()) else { return true };
-    let minor = rest.strip_prefix('.').and_then(line::leading_integer).map_or(0, |(minor, _)| minor);
-    (major, minor) >= (1, 1)
-}
-
-/// A status report.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Status {
-    state: State,
-    machine_mm: Option<[f64; 3]>,
-    work_mm: Option<[f64; 3]>,
-    offset_mm: Option<[f64; 3]>,
-}
-
-impl Status {
-    /// What stands between `<` and `>`.
-    fn parse(text: &str) -> Option<Self> {
-        let mut fields = text.split('|');
-        let name = fields.next()?;
-        let (name, detail) = name.split_once(':').unwrap_or((name, ""));
-        let state = match (name, detail) {
-            ("Idle", _) => State::Idle,
-            ("Run", _) => State::Run,
-            ("Hold", "1") => State::Holding,
-            ("Hold", _) | ("Door", "0") => State::Held,
-            ("Door", "2" | "3") => State::Holding,
-            ("Door" | "Check" | "Sleep" | "Tool", _) => State::Blocked,
-            ("Jog", _) => State::Jog,
-            ("Alarm", _) => State::Alarm,
-            ("Home", _) => State::Home,
-            _ => return None,
-        };
-        let mut status = Self { state, machine_mm: None, work_mm: None, offset_mm: None };
-        for field in fields {
-            match field.split_once(':') {
-                Some(("MPos", at)) => status.machine_mm = line::triple(at),
-                Some(("WPos", at)) => status.work_mm = line::triple(at),
-                Some(("WCO", at)) => status.offset_mm = line::triple(at),
-                _ => {}
-            }
-        }
-        Some(status)
-    }
-
-    /// In work coordinates, where they are known.
-    fn position_mm(&self, offset_mm: Option<[f64; 3]>) -> [Option<f64>; 3] {
-        match (self.work_mm, self.machine_mm, offset_mm) {
-            (Some(work), _, _) => work.map(Some),
-            (None, Some(machine), Some(offset)) => [0, 1, 2].map(|axis| Some(machine[axis] - offset[axis])),
-            _ => [None; 3],
         }
     }
 }

@@ -11,11 +11,12 @@
 //! Sources: marlinfw.org/docs/gcode (M110, M112, M114, M115, M400, M410) and /docs/development, checked against the
 //! firmware's behaviour.
 
+mod wire;
+
 use super::engine::Driver;
 use super::line::{self, Assembler, LineBuf};
-use super::wire::{CODE_UNKNOWN_COMMAND, CODE_UNNUMBERED, Event, Events, MS, Preamble, Wire, put};
+use super::wire::{CODE_UNKNOWN_COMMAND, CODE_UNNUMBERED, Event, Events, MS, put};
 use super::words::Kind;
-use crate::config::Settings;
 
 /// An arm with Marlin 2.
 pub type Marlin = Driver<MarlinWire>;
@@ -36,8 +37,10 @@ const ANSWER_HOME: i64 = 15_000 * MS;
 const RESEND_PAUSE: i64 = 25 * MS;
 /// M410 is repeated: where a cut line came before it, it may be thrown away with that.
 const STOP_AGAIN: [i64; 3] = [60 * MS, 150 * MS, 300 * MS];
-/// Without a position after so long the controller is killed.
-const STOP_KILL: i64 = 4000 * MS;
+/// Steps that still change when they were looked at so often: the controller is killed (M112).
+const STOP_LOOKS: u8 = 8;
+/// Without an answer after so long it is a lost connection.
+const STOP_LOST: i64 = 4000 * MS;
 const HEARTBEAT_MIN: i64 = 250 * MS;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,11 +53,12 @@ enum Chore {
     None,
     /// M114 until it rests, then M400, then M114.
     Sync(Asking),
-    /// M410 was sent so many times, first then; then M110, M400, M114.
+    /// M410 was sent so many times, first then; then M110, M114 until it rests, M400, M114.
     Stop {
         sent: usize,
         since: i64,
         asking: Asking,
+        looks: u8,
     },
     Settle(Asking),
     /// M110, then M999.
@@ -333,8 +337,15 @@ impl MarlinWire {
     fn resend(&mut self, number: u32, now: i64, events: &mut Events) {
         let Some(flight) = &mut self.flight else { return };
         if number == flight.number.wrapping_add(1) {
-            // It was taken; only its `ok` was lost.
-            return self.done(now, events);
+            // It was taken; only its `ok` was lost, or the answer too: then it is asked again.
+            if flight.asks.is_none() || flight.asks == self.answered {
+                return self.done(now, events);
+            }
+            let (text, polling) = (flight.text, self.polling);
+            self.flight = None;
+            self.own_line = Some((text, Kind::Modal));
+            self.polling = polling;
+            return;
         }
         if number == flight.number || flight.number == 0 {
             flight.resend.get_or_insert(now + RESEND_PAUSE);
@@ -415,13 +426,34 @@ impl MarlinWire {
                 });
             }
             Chore::Sync(Asking::Look) if self.steps.is_none() || self.steps != self.steps_before => {
-                self.own("M114", Kind::Modal);
-                self.own_not_before = now + LOOK_AGAIN;
+                self.look_again(now);
+            }
+            Chore::Stop { asking: Asking::Look, looks, .. }
+                if self.steps.is_none() || self.steps != self.steps_before =>
+            {
+                if looks >= STOP_LOOKS {
+                    // It moves on in spite of M410.
+                    self.begin(Chore::None);
+                    self.dead = true;
+                    self.urgent = Some(LineBuf::of("\nM112\n"));
+                    return events.push(Event::Alarm { code: 112, position_lost: true });
+                }
+                if let Chore::Stop { looks, .. } = &mut self.chore {
+                    *looks += 1;
+                }
+                self.look_again(now);
             }
             Chore::Sync(asking) => self.chore = Chore::Sync(self.next_asking(asking)),
             Chore::Settle(asking) => self.chore = Chore::Settle(self.next_asking(asking)),
-            Chore::Stop { sent, since, asking } => {
-                self.chore = Chore::Stop { sent, since, asking: self.next_asking(asking) };
+            Chore::Stop { sent, since, asking, looks } => {
+                // Before the wait it is seen whether there is anything to wait for.
+                let asking = if asking == Asking::Number && !self.m114_waits {
+                    self.own("M114", Kind::Modal);
+                    Asking::Look
+                } else {
+                    self.next_asking(asking)
+                };
+                self.chore = Chore::Stop { sent, since, asking, looks };
             }
             Chore::Unlock { sent: false } => {
                 self.chore = Chore::Unlock { sent: true };
@@ -438,6 +470,11 @@ impl MarlinWire {
             }
             Chore::Closed | Chore::Banner(_) | Chore::None => {}
         }
+    }
+
+    fn look_again(&mut self, now: i64) {
+        self.own("M114", Kind::Modal);
+        self.own_not_before = now + LOOK_AGAIN;
     }
 
     fn next_asking(&mut self, asking: Asking) -> Asking {
@@ -465,225 +502,6 @@ impl MarlinWire {
         self.silent_looking = self.chore == Chore::Sync(Asking::Look);
         events.push(Event::Silent);
     }
-}
-
-impl Wire for MarlinWire {
-    const PREAMBLE: &'static [Preamble] = &[
-        Preamble { text: "G90", optional: false },
-        // Only builds with INCH_MODE_SUPPORT know it; the others have nothing but millimetres.
-        Preamble { text: "G21", optional: true },
-    ];
-    const TOLERANCE_MM: f64 = 0.5;
-    const KNOWS_POSITION: bool = false;
-    const CHECKS_REACH: bool = false;
-    const WAITS_HERE: bool = false;
-
-    fn new(settings: &Settings) -> Self {
-        let arm = &settings.arm;
-        Self {
-            incoming: Assembler::new(),
-            chore: Chore::Closed,
-            heartbeat: (i64::from(arm.heartbeat_ms) * MS).max(HEARTBEAT_MIN),
-            banner_wait: i64::from(arm.banner_wait_ms) * MS,
-            handshake: (i64::from(arm.handshake_timeout_ms) * MS).max(1500 * MS),
-            tries_max: arm.resends.min(TRIES_MAX),
-            number: 0,
-            flight: None,
-            urgent: None,
-            own_line: None,
-            answered: None,
-            position_mm: None,
-            steps: None,
-            steps_before: None,
-            m114_waits: false,
-            silent_looking: false,
-            moves_ahead: 0,
-            own_not_before: 0,
-            next_poll: 0,
-            polling: false,
-            poll_sent: 0,
-            foreign: false,
-            restarted: false,
-            dead: false,
-            held_sign: arm.moves.held.as_ref().map_or_else(Box::default, |held| held.expect.as_str().into()),
-            held: false,
-        }
-    }
-
-    fn open(&mut self, now: i64) {
-        self.greet(now);
-        self.begin(Chore::Banner(now + self.banner_wait));
-    }
-
-    fn greet(&mut self, now: i64) {
-        self.incoming.clear();
-        self.foreign = false;
-        self.dead = false;
-        self.say_hello(now);
-        // Moves of a cell that is gone are thrown away before anything new. A line cut in the middle by that
-        // cell has a number and no checksum: ending it makes the controller refuse it.
-        self.urgent = Some(LineBuf::of("\nM410\n"));
-    }
-
-    fn close(&mut self) {
-        self.begin(Chore::Closed);
-        self.urgent = None;
-    }
-
-    fn on_bytes(&mut self, bytes: &[u8], now: i64, events: &mut Events) {
-        for &byte in bytes {
-            if let Some(line) = self.incoming.push(byte) {
-                self.text(line.text(), now, events);
-            }
-        }
-        events.garbage += self.incoming.take_garbage();
-    }
-
-    fn on_time(&mut self, now: i64, events: &mut Events) {
-        match self.chore {
-            Chore::Closed => return,
-            Chore::Banner(until) => {
-                if now >= until {
-                    self.greet(now);
-                }
-                return;
-            }
-            Chore::Greet(_, since) if now - since >= self.handshake => {
-                if core::mem::take(&mut self.foreign) {
-                    events.push(Event::WrongDialect);
-                }
-                return self.greet(now);
-            }
-            Chore::Stop { since, .. } if now - since >= STOP_KILL => {
-                self.begin(Chore::None);
-                self.dead = true;
-                self.urgent = Some(LineBuf::of("\nM112\n"));
-                return events.push(Event::Alarm { code: 112, position_lost: true });
-            }
-            Chore::Stop { sent, since, asking } if sent < STOP_AGAIN.len() => {
-                if now - since >= STOP_AGAIN[sent] {
-                    self.urgent = Some(LineBuf::of("M410\n"));
-                    self.chore = Chore::Stop { sent: sent + 1, since, asking };
-                    if sent + 1 == STOP_AGAIN.len() {
-                        self.renumber();
-                    }
-                }
-                return;
-            }
-            _ => {}
-        }
-        if self.flight.is_some_and(|f| f.resend.is_none() && now - f.sent >= f.patience) {
-            self.unanswered(now, events);
-        }
-        let idle = self.flight.is_none() && self.own_line.is_none() && !self.dead;
-        if idle && self.chore == Chore::None && now >= self.next_poll {
-            self.next_poll = now + self.heartbeat;
-            self.polling = true;
-            self.own("M114", Kind::Modal);
-        }
-    }
-
-    fn deadline_ns(&self) -> Option<i64> {
-        let timer = match self.chore {
-            Chore::Closed => return None,
-            Chore::Banner(until) => return Some(until),
-            Chore::Greet(_, since) => Some(since + self.handshake),
-            Chore::Stop { sent, since, .. } => {
-                Some(since + STOP_AGAIN.get(sent).copied().unwrap_or(STOP_KILL))
-            }
-            Chore::None if !self.dead && self.flight.is_none() => Some(self.next_poll),
-            _ => None,
-        };
-        if self.urgent.is_some() {
-            return Some(i64::MIN);
-        }
-        let own = (self.own_line.is_some() && self.flight.is_none()).then_some(self.own_not_before);
-        let flight = self.flight.map(|flight| flight.resend.unwrap_or(flight.sent + flight.patience));
-        [timer, own, flight].into_iter().flatten().min()
-    }
-
-    fn transmit(&mut self, now: i64, out: &mut [u8]) -> (usize, bool) {
-        if let Some(line) = self.urgent.take() {
-            let mut len = 0;
-            put(out, &mut len, line.as_bytes());
-            return (len, true);
-        }
-        if let Some(flight) = &mut self.flight {
-            if flight.resend.is_some_and(|at| now >= at) {
-                flight.resend = None;
-                flight.sent = now;
-                flight.fault = None;
-                return (Self::encode(flight, out), false);
-            }
-            return (0, false);
-        }
-        if now < self.own_not_before {
-            return (0, false);
-        }
-        let Some((line, kind)) = self.own_line.take() else { return (0, false) };
-        self.poll_sent = now;
-        let waits = kind == Kind::Dwell || (self.m114_waits && line.as_bytes() == b"M114");
-        let patience = if waits { ANSWER_WAITING } else { ANSWER };
-        (self.launch(line, None, patience, now, out), false)
-    }
-
-    fn has_urgent(&self) -> bool {
-        self.urgent.is_some()
-    }
-
-    fn takes(&self, _len: usize) -> bool {
-        self.chore == Chore::None && self.flight.is_none() && self.own_line.is_none() && !self.dead
-    }
-
-    fn send(&mut self, line: &LineBuf, kind: Kind, dwell_ms: u32, now: i64, out: &mut [u8]) -> usize {
-        let patience = match kind {
-            Kind::Motion if self.moves_ahead < MOVES_AHEAD => ANSWER,
-            Kind::Motion => ANSWER_WAITING,
-            Kind::Dwell => ANSWER_WAITING + i64::from(dwell_ms) * MS,
-            Kind::Home => ANSWER_HOME,
-            Kind::Action | Kind::Modal => ANSWER,
-        };
-        self.next_poll = now + self.heartbeat;
-        self.moves_ahead += u32::from(kind == Kind::Motion);
-        self.launch(*line, Some(kind), patience, now, out)
-    }
-
-    fn sync(&mut self, _now: i64) {
-        if self.m114_waits {
-            self.begin(Chore::Sync(Asking::Wait));
-            self.own("M400", Kind::Dwell);
-        } else {
-            self.begin(Chore::Sync(Asking::Look));
-            self.own("M114", Kind::Modal);
-        }
-    }
-
-    fn stop(&mut self, now: i64) {
-        self.urgent = Some(LineBuf::of("\nM410\n"));
-        if !matches!(self.chore, Chore::Closed | Chore::Banner(_) | Chore::Greet(..)) {
-            self.begin(Chore::Stop { sent: 0, since: now, asking: Asking::Number });
-        }
-    }
-
-    fn settle(&mut self, _now: i64) {
-        self.begin(Chore::Settle(Asking::Number));
-        self.renumber();
-    }
-
-    fn unlock(&mut self, _now: i64) {
-        self.dead = false;
-        // M999 leaves the state "stopped"; a killed controller needs its button, and then says its banner.
-        self.begin(Chore::Unlock { sent: false });
-        self.renumber();
-    }
-
-    fn ask_held(&mut self, question: &LineBuf, _now: i64) {
-        self.begin(Chore::Held);
-        self.held = false;
-        self.own_line = Some((*question, Kind::Modal));
-    }
-
-    fn reach(&mut self, _point_mm: [f64; 3], _now: i64) {}
 }
 
 #[cfg(test)]

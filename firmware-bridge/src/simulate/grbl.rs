@@ -487,7 +487,7 @@ impl GrblFirmware {
             text.push_str("|Pn:P");
         }
         if self.wco_counter == 0 {
-            let w = self.park_mm.map(|v| -v);
+            let w = self.park_mm.map(|v| 0.0 - v);
             text.push_str(&format!("|WCO:{:.3},{:.3},{:.3}", w[0], w[1], w[2]));
         } else if self.wco_counter == 1 {
             text.push_str("|Ov:100,100,100");

@@ -1,1 +1,236 @@
-//! Placeholder.
+//! Marlin's end of the wire against what the other end says, byte by byte.
+
+use super::*;
+use crate::config::Settings;
+use crate::dialect::TRANSMIT_LEN_MIN;
+use crate::message::{Command, Disconnect, Failure, HeldBy, Report};
+
+/// The cell's end, a clock, and a person who types what Marlin would say.
+struct Desk {
+    marlin: Marlin,
+    now_ns: i64,
+    reports: Vec<Report>,
+}
+
+impl Desk {
+    fn new() -> Self {
+        let settings = Settings::parse(
+            "[arm]\ndialect = \"marlin\"\naxes = \"xyz\"\nbanner_wait_ms = 100\nheartbeat_ms = 10000\n\
+             heartbeat_timeout_ms = 60000\n[workspace]\nmin_mm = [-200, -200, 0]\nmax_mm = [200, 200, 300]\n",
+        )
+        .unwrap();
+        let marlin = Marlin::new(&settings, 6).unwrap();
+        let mut desk = Self { marlin, now_ns: 10_000 * MS, reports: Vec::new() };
+        desk.marlin.on_link(true, desk.now_ns);
+        desk
+    }
+
+    /// What is sent within so many ms, its checksums looked at and left out, `|` before urgent bytes.
+    fn wait(&mut self, ms: i64) -> String {
+        let mut sent = String::new();
+        let mut out = [0; TRANSMIT_LEN_MIN];
+        for _ in 0..ms {
+            self.now_ns += MS;
+            while let Some(report) = self.marlin.poll(self.now_ns) {
+                if !matches!(report, Report::Heartbeat { .. }) {
+                    self.reports.push(report);
+                }
+            }
+            loop {
+                let done = self.marlin.transmit(self.now_ns, &mut out);
+                if done.len == 0 {
+                    break;
+                }
+                sent.push_str(if done.urgent { "|" } else { "" });
+                let text = core::str::from_utf8(&out[..done.len]).unwrap();
+                sent.push_str(&without_checksum(text).escape_default().to_string());
+            }
+        }
+        sent
+    }
+
+    fn hear(&mut self, text: &str) -> String {
+        self.marlin.on_bytes(text.as_bytes(), self.now_ns);
+        self.wait(2)
+    }
+
+    fn told(&mut self) -> Vec<Report> {
+        std::mem::take(&mut self.reports)
+    }
+
+    fn connect(&mut self) {
+        assert_eq!(self.wait(2), "|\\nM410\\n");
+        assert_eq!(self.hear("start\r\necho:Marlin 2.1.2\r\n"), "N0 M110 N0\\n");
+        assert_eq!(self.hear("ok\r\n"), "N1 M115\\n");
+        // An `ok` too many is not the answer.
+        assert_eq!(self.hear("ok\r\n"), "");
+        assert_eq!(
+            self.hear("FIRMWARE_NAME:Marlin 2.1.2 (Dec 2024)\r\nCap:EEPROM:1\r\nok\r\n"),
+            "N2 M114\\n"
+        );
+        self.hear(&at(0.0));
+        assert_eq!(self.told(), [Report::Connected { session: 7, held_by: HeldBy::Start }]);
+    }
+
+    fn make_ready(&mut self) {
+        self.connect();
+        self.marlin.command(Command::Release, self.now_ns).unwrap();
+        assert_eq!(self.wait(2), "N0 M110 N0\\n");
+        assert_eq!(self.hear("ok\r\n"), "N1 M400\\n");
+        assert_eq!(self.hear("ok\r\n"), "N2 M114\\n");
+        assert_eq!(self.hear(&at(0.0)), "N3 G90\\n");
+        assert_eq!(self.hear("ok\r\n"), "N4 G21\\n");
+        // A build without inches does not know G21.
+        assert_eq!(self.hear("echo:Unknown command: \"G21\"\r\nok\r\n"), "N5 M107\\n");
+        self.hear("ok\r\n");
+        assert_eq!(self.told(), [Report::Ready { clear_of_view: false }]);
+    }
+
+    /// A pick whose first move is on its way.
+    fn pick(&mut self) -> String {
+        let mut pick = crate::gate::tests::pick();
+        pick.seen.left_ns = self.now_ns + MS;
+        pick.seen.right_ns = self.now_ns + MS;
+        pick.session = 7;
+        self.now_ns += 2 * MS;
+        self.marlin.command(Command::Pick(pick), self.now_ns).unwrap();
+        self.wait(1)
+    }
+}
+
+/// A numbered line without its checksum, which must be right; other lines as they are.
+fn without_checksum(text: &str) -> String {
+    if !text.starts_with('N') {
+        return text.into();
+    }
+    let (line, sum) = text.trim_end().split_once('*').expect("a numbered line has a checksum");
+    assert_eq!(line.bytes().fold(0, |sum, byte| sum ^ byte).to_string(), sum, "{text}");
+    format!("{line}\n")
+}
+
+/// An answer to M114 with all coordinates alike.
+fn at(mm: f64) -> String {
+    let steps = mm * 80.0;
+    format!("X:{mm:.2} Y:{mm:.2} Z:{mm:.2} E:0.00 Count X:{steps} Y:{steps} Z:{steps}\r\nok\r\n")
+}
+
+#[test]
+fn moves_are_numbered_one_by_one_and_stand_before_the_gripper() {
+    let mut desk = Desk::new();
+    desk.make_ready();
+    assert_eq!(desk.pick(), "N6 G0 X10.000 Y20.000 Z65.000 F6000\\n");
+    assert_eq!(desk.wait(100), "");
+    assert_eq!(desk.hear("ok N6 P14 B3\r\n"), "N7 G0 Z45.000 F6000\\n");
+    // The acknowledgement of another line.
+    assert_eq!(desk.hear("ok N6 P14 B3\r\n"), "");
+    assert_eq!(desk.hear("ok\r\n"), "N8 G1 X10.000 Y20.000 Z5.000 F1500\\n");
+    assert_eq!(desk.hear("ok\r\n"), "N9 M114\\n");
+    // While the steps change it is asked again; when they rest M400 and M114 confirm it.
+    desk.hear(&at(1.0));
+    assert_eq!(desk.wait(60), "N10 M114\\n");
+    desk.hear(&at(2.0));
+    assert_eq!(desk.wait(60), "N11 M114\\n");
+    assert_eq!(desk.hear(&at(2.0)), "N12 M400\\n");
+    assert_eq!(desk.hear("ok\r\n"), "N13 M114\\n");
+    assert_eq!(desk.hear("X:10.00 Y:20.00 Z:5.00 E:0.00 Count X:1 Y:2 Z:3\r\nok\r\n"), "N14 M106 S255\\n");
+}
+
+#[test]
+fn a_line_is_sent_again_when_it_is_asked_for_and_never_when_it_was_taken() {
+    let mut desk = Desk::new();
+    desk.make_ready();
+    let line = desk.pick();
+    let refused = "Error:checksum mismatch, Last Line: 5\r\nResend: 6\r\nok\r\n";
+    assert_eq!(desk.hear(refused), "");
+    assert_eq!(desk.wait(30), line);
+    // No answer: the number makes it safe to send it again.
+    assert_eq!(desk.wait(300), line);
+    // It had been taken: only the acknowledgement was lost.
+    let taken = "Error:Line Number is not Last Line Number+1, Last Line: 6\r\nResend: 7\r\nok\r\n";
+    assert!(desk.hear(taken).starts_with("N7 G0 Z45.000"));
+}
+
+#[test]
+fn silence_loses_the_pick_and_busy_does_not() {
+    let mut desk = Desk::new();
+    desk.make_ready();
+    desk.pick();
+    for _ in 0..20 {
+        desk.wait(200);
+        desk.hear("echo:busy: processing\r\n");
+    }
+    assert!(desk.told().iter().all(|report| !matches!(report, Report::Disconnected { .. })));
+    let sent = desk.wait(1000);
+    assert!(sent.contains("|\\nM410\\n") && sent.ends_with("N0 M110 N0\\n"), "{sent}");
+    assert_eq!(desk.told(), [Report::Lost { id: 7 }, Report::Disconnected { cause: Disconnect::Silent }]);
+}
+
+#[test]
+fn what_marlin_does_not_do_fails_the_pick() {
+    for (complaint, code) in [
+        ("echo:Unknown command: \"G0 X\"\r\nok\r\n", 1001),
+        ("echo:Home XYZ First\r\nok\r\n", 1002),
+        ("Error:something\r\nok\r\n", 1002),
+    ] {
+        let mut desk = Desk::new();
+        desk.make_ready();
+        desk.pick();
+        assert_eq!(desk.hear(complaint), "|\\nM410\\n");
+        let sent = desk.wait(400);
+        assert!(sent.starts_with("|M410\\n|M410\\n|M410\\nN0 M110 N0\\n"), "{sent}");
+        desk.hear("ok\r\n");
+        desk.hear(&at(3.0));
+        desk.wait(60);
+        assert_eq!(desk.hear(&at(3.0)), "N3 M400\\n");
+        desk.hear("ok\r\n");
+        desk.hear(&at(3.0));
+        let failed = Report::Failed { id: 7, failure: Failure::Controller { code } };
+        assert!(desk.told().ends_with(&[failed, Report::Held { by: HeldBy::Alarm }]), "{complaint}");
+    }
+}
+
+#[test]
+fn an_arm_that_moves_on_in_spite_of_m410_is_killed() {
+    let mut desk = Desk::new();
+    desk.make_ready();
+    desk.pick();
+    desk.hear("ok\r\n");
+    desk.marlin.command(Command::Hold, desk.now_ns).unwrap();
+    desk.wait(400);
+    desk.hear("ok\r\n");
+    let mut sent = String::new();
+    for n in 0..12 {
+        sent += &desk.hear(&at(f64::from(n)));
+        sent += &desk.wait(60);
+    }
+    assert!(sent.ends_with("|\\nM112\\n"), "{sent}");
+    let told = desk.told();
+    assert!(
+        told.contains(&Report::Alarm { code: 112 }) && told.contains(&Report::PositionUnknown),
+        "{told:?}"
+    );
+    // Only its button helps; then it says its banner.
+    assert_eq!(desk.wait(5000), "");
+    assert_eq!(desk.hear("start\r\n"), "N0 M110 N0\\n");
+}
+
+#[test]
+fn a_restart_is_noticed_by_its_banner_or_by_its_numbers() {
+    let mut desk = Desk::new();
+    desk.make_ready();
+    desk.pick();
+    assert_eq!(desk.hear("start\r\n"), "N0 M110 N0\\n");
+    assert_eq!(
+        desk.told()[..],
+        [
+            Report::PositionUnknown,
+            Report::Lost { id: 7 },
+            Report::Disconnected { cause: Disconnect::Restarted }
+        ]
+    );
+    let mut desk = Desk::new();
+    desk.make_ready();
+    desk.pick();
+    desk.hear("Error:Line Number is not Last Line Number+1, Last Line: 0\r\nResend: 1\r\n");
+    assert_eq!(desk.told(), [Report::Lost { id: 7 }, Report::Disconnected { cause: Disconnect::Silent }]);
+}

@@ -1,1 +1,90 @@
-//! Placeholder.
+//! What a host sees of this Marlin, as transcripts.
+
+use super::*;
+
+struct Desk {
+    marlin: MarlinFirmware,
+    now_ns: i64,
+}
+
+impl Desk {
+    fn new(marlin: MarlinFirmware) -> Self {
+        let mut desk = Self { marlin, now_ns: 0 };
+        assert!(desk.wait(1500).starts_with("start\r\n"));
+        desk
+    }
+
+    fn wait(&mut self, ms: i64) -> String {
+        let mut said = Vec::new();
+        for _ in 0..ms * 10 {
+            self.now_ns += MS / 10;
+            let mut out = [0; 64];
+            loop {
+                let len = self.marlin.transmit(self.now_ns, &mut out);
+                said.extend_from_slice(&out[..len]);
+                if len == 0 {
+                    break;
+                }
+            }
+        }
+        String::from_utf8(said).unwrap()
+    }
+
+    fn say(&mut self, text: &str, ms: i64) -> String {
+        self.marlin.on_bytes(text.as_bytes(), self.now_ns);
+        self.wait(ms)
+    }
+}
+
+fn numbered(number: u32, text: &str) -> String {
+    let line = format!("N{number} {text}");
+    let sum = line.bytes().fold(0, |sum, byte| sum ^ byte);
+    format!("{line}*{sum}\n")
+}
+
+#[test]
+fn numbers_and_checksums_are_looked_at() {
+    let mut desk = Desk::new(MarlinFirmware::new([0.0; 3], Faults::default()));
+    assert_eq!(numbered(0, "M110 N0"), "N0 M110 N0*125\n");
+    assert_eq!(desk.say("N0 M110 N0*125\n", 5), "ok\r\n");
+    assert_eq!(desk.say(&numbered(1, "G90"), 5), "ok\r\n");
+    let twice = "Error:Line Number is not Last Line Number+1, Last Line: 1\r\nResend: 2\r\nok\r\n";
+    assert_eq!(desk.say(&numbered(1, "G90"), 5), twice);
+    assert_eq!(desk.say("N2 G91*1\n", 5), "Error:checksum mismatch, Last Line: 1\r\nResend: 2\r\nok\r\n");
+    assert_eq!(
+        desk.say("N2 G91\n", 5),
+        "Error:No Checksum with line number, Last Line: 1\r\nResend: 2\r\nok\r\n"
+    );
+    assert_eq!(desk.say("G21\n", 5), "ok\r\n");
+    assert_eq!(desk.say("G123\n", 5), "echo:Unknown command: \"G123\"\r\nok\r\n");
+    assert_eq!(desk.say("\n; nothing\n", 5), "");
+}
+
+#[test]
+fn m400_waits_and_says_busy() {
+    let mut desk = Desk::new(MarlinFirmware::with_advanced_ok([0.0; 3], Faults::default()));
+    desk.say("N0 M110 N0*125\n", 5);
+    assert_eq!(desk.say(&numbered(1, "G1 X50 F600"), 5), "ok N1 P14 B4\r\n");
+    assert_eq!(desk.say(&numbered(2, "M400"), 3000), "echo:busy: processing\r\n");
+    assert_eq!(desk.say("M114\n", 1000), "echo:busy: processing\r\n");
+    let said = desk.wait(2000);
+    assert!(
+        said.ends_with("ok N2 P15 B3\r\nX:50.00 Y:0.00 Z:0.00 E:0.00 Count X:4000 Y:0 Z:0\r\nok P15 B4\r\n"),
+        "{said}"
+    );
+}
+
+#[test]
+fn m410_is_read_before_the_queue_and_m112_ends_everything() {
+    let mut desk = Desk::new(MarlinFirmware::new([0.0; 3], Faults::default()));
+    desk.say("G1 X50 F600\n", 100);
+    desk.say("M400\n", 100);
+    assert_eq!(desk.say("M410\n", 10), "ok\r\nok\r\n");
+    let said = desk.say("M114\n", 10);
+    let at: f64 = said[2..].split(' ').next().unwrap().parse().unwrap();
+    assert!(at > 1.0 && at < 3.0, "{said}");
+    assert!(desk.say("M112\n", 10).starts_with("Error:Printer halted. kill() called!"));
+    assert_eq!(desk.say("M114\n", 1000), "");
+    desk.marlin.reset(desk.now_ns);
+    assert!(desk.wait(1500).starts_with("start\r\n"));
+}
