@@ -277,6 +277,7 @@ fn configure(port: &OwnedFd, baud: u32) -> Result<(), Errno> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::codec::{Decoder, ToArm, ToArmBody};
     use crate::gate::tests::settings;
     use crate::link::monotonic_ns;
     use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
@@ -341,8 +342,8 @@ mod tests {
     }
 
     #[test]
-    fn a_reader_that_sleeps_blocks_nobody() {
-        let (_master, path) = pty();
+    fn a_reader_that_sleeps_blocks_nobody_and_a_hold_finds_room() {
+        let (master, path) = pty();
         let mut settings = settings();
         settings.arm.port = Some(path);
         settings.arm.handshake_timeout_ms = 10;
@@ -351,6 +352,15 @@ mod tests {
         for step in 0..2000 {
             link.poll(monotonic_ns() + step * 11 * MS);
         }
-        assert!(link.command(Command::Hold, monotonic_ns() + 30_000 * MS).is_ok());
+        assert!(link.rest_from < link.rest_to, "the pty is full");
+        link.command(Command::Hold, monotonic_ns() + 30_000 * MS).unwrap();
+        assert_eq!(link.rest_from, link.rest_to, "the hold is with the kernel");
+        // What the reader's end has taken already stays before it; a real line has no such store.
+        rustix::fs::fcntl_setfl(&master, OFlags::NONBLOCK).unwrap();
+        let (mut decoder, mut bytes, mut last) = (Decoder::new(), [0; 8192], None);
+        while let Ok(len) = rustix::io::read(&master, &mut bytes) {
+            last = bytes[..len].iter().filter_map(|&byte| decoder.push::<ToArm>(byte)?.ok()).last().or(last);
+        }
+        assert_eq!(last.map(|message| message.body), Some(ToArmBody::Hold));
     }
 }
