@@ -146,6 +146,11 @@ impl Gate {
         Ok(())
     }
 
+    /// Smallest and largest coordinate of the workspace box along an axis (0 = x), mm.
+    pub fn bounds_mm(&self, axis: usize) -> (f64, f64) {
+        (self.min_mm[axis], self.max_mm[axis])
+    }
+
     fn check_jump(&self, at: Waypoint, distance_mm: f64) -> Result<(), Refusal> {
         if distance_mm > self.jump_max_mm {
             return Err(Refusal::Jump { at, distance_mm: distance_mm as f32 });

@@ -237,6 +237,13 @@ impl<W: Wire> Driver<W> {
 
     /// Seen on its way: outside the room between its points a line was not understood as it was meant.
     fn passing(&mut self, position_mm: [Option<f64>; 3], now_ns: i64) {
+        for (axis, at) in position_mm.iter().enumerate().filter_map(|(axis, at)| Some((axis, (*at)?))) {
+            if self.moved && self.room_mm[axis].is_none() {
+                // It set out from an unknown place: from here its way may lead anywhere in the workspace, not beyond.
+                let (low, high) = self.gate.bounds_mm(axis);
+                self.room_mm[axis] = Some((low.min(at), high.max(at)));
+            }
+        }
         let outside = |axis: usize| match (position_mm[axis], self.room_mm[axis]) {
             (Some(at), Some((low, high))) => at < low - ROOM_MM || at > high + ROOM_MM,
             _ => false,
