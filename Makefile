@@ -32,9 +32,8 @@ run: build ## run the cell of cell.toml: the recorded session and a simulated ar
 test: needs ## every test; long ones in their short form (under 10 minutes on two cores)
 	$(CARGO) test --release --locked --workspace
 
-bench: needs ## the speed tables; beside them OpenCV, scikit-image and skan where python3 has them
-	$(CARGO) bench --locked --workspace --benches
-	@if [ -e benches/peers.py ] && python3 -c 'import cv2' 2>/dev/null; then python3 benches/peers.py; fi
+bench: needs ## the speed tables; OpenCV, scikit-image and skan beside them where python3 has them
+	$(CARGO) bench --locked --workspace --bench '*'
 
 accuracy: build ## the accuracy table: ../shared/scenes where they are, else the recorded session
 	@if [ -d $(SCENES) ]; then $(PICKCELL) accuracy $(SCENES) --out out/accuracy; \
