@@ -321,12 +321,13 @@ impl GrblWire {
                 }
             },
             Chore::Unlock { reset: None, sent: true }
-                if fresh && self.flights.is_empty() && self.own_line.is_none() =>
+                if fresh
+                    && self.flights.is_empty()
+                    && self.own_line.is_none()
+                    && status.state == State::Idle =>
             {
-                if status.state == State::Idle {
-                    self.chore = Chore::None;
-                    events.push(Event::Unlocked);
-                }
+                self.chore = Chore::None;
+                events.push(Event::Unlocked);
             }
             _ => {}
         }

@@ -63,8 +63,7 @@ impl LineBuf {
     #[must_use]
     pub(crate) fn decimal(&mut self, value: f64, decimals: u8) -> bool {
         let scale = 10u64.pow(u32::from(decimals.min(4)));
-        // A NaN fails the comparison too.
-        if !(value.abs() < 1e6) {
+        if value.is_nan() || value.abs() >= 1e6 {
             return false;
         }
         let rounded = (value * scale as f64).round() as i64;

@@ -230,12 +230,12 @@ impl MarlinWire {
         if text == "start" {
             return self.banner(now, events);
         }
-        if let Some(rest) = text.strip_prefix("ok") {
-            if rest.is_empty() || rest.starts_with(' ') {
-                // Some builds answer M114 and M105 on the line of the `ok`.
-                self.note_position(rest);
-                return self.ok(rest, now, events);
-            }
+        if let Some(rest) = text.strip_prefix("ok")
+            && (rest.is_empty() || rest.starts_with(' '))
+        {
+            // Some builds answer M114 and M105 on the line of the `ok`.
+            self.note_position(rest);
+            return self.ok(rest, now, events);
         }
         let resend = text.strip_prefix("Resend:").or_else(|| text.strip_prefix("rs "));
         if let Some(number) = resend {

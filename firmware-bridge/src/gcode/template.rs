@@ -350,15 +350,13 @@ impl Compiler<'_> {
             words: [None; WORDS_MAX],
             dwell_ms: 0,
         };
-        let mut count = 0;
-        for token in &tokens[1..] {
+        for (count, token) in tokens[1..].iter().enumerate() {
             let twice = line.words.iter().flatten().any(|(letter, _)| *letter == token.letter);
             if !rule.letters.contains(token.letter) || twice || count == WORDS_MAX {
                 let allowed = if rule.letters.is_empty() { "no words" } else { rule.letters };
                 return Err(LineFault::Parameter { command: name, letter: token.letter, allowed });
             }
             line.words[count] = Some((token.letter, self.slot(list, &name, token, rule.kind)?));
-            count += 1;
         }
         let has = |letter: char| tokens[1..].iter().any(|token| token.letter == letter);
         if !rule.needs.is_empty() && !rule.needs.chars().any(has) {

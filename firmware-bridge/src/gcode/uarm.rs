@@ -177,11 +177,11 @@ impl UarmWire {
             self.heard = now;
             return self.status(status, now, events);
         }
-        if let Some(answer) = text.strip_prefix('$') {
-            if let Some((tag, rest)) = line::leading_integer(answer) {
-                self.heard = now;
-                return self.answer(tag, rest.trim(), now, events);
-            }
+        if let Some(answer) = text.strip_prefix('$')
+            && let Some((tag, rest)) = line::leading_integer(answer)
+        {
+            self.heard = now;
+            return self.answer(tag, rest.trim(), now, events);
         }
         if text == "@1" || text.starts_with("Grbl 0.9") || text == "start" {
             return self.banner(now, events);

@@ -17,7 +17,7 @@ pub(crate) enum Slot {
     /// The same as thousandths of `gripper.opening_max_mm`.
     OpeningPermille,
     /// Number of the place slot.
-    SlotNumber,
+    PlaceNumber,
 }
 
 /// A part of a pose.
@@ -56,7 +56,7 @@ const OTHERS: [(&str, Slot); 4] = [
     ("travel_z", Slot::TravelZ),
     ("opening", Slot::Opening),
     ("opening_permille", Slot::OpeningPermille),
-    ("slot", Slot::SlotNumber),
+    ("slot", Slot::PlaceNumber),
 ];
 
 /// The slot of a built-in name.
@@ -94,7 +94,7 @@ impl Slot {
             Slot::Literal(_, decimals) => decimals,
             Slot::Pose(_, Part::Axis(_)) | Slot::TravelZ => 3,
             Slot::Pose(..) | Slot::Opening => 2,
-            Slot::OpeningPermille | Slot::SlotNumber => 0,
+            Slot::OpeningPermille | Slot::PlaceNumber => 0,
         }
     }
 
@@ -105,7 +105,7 @@ impl Slot {
             Slot::Pose(_, Part::Axis(_)) | Slot::TravelZ => "-100000.000".len(),
             Slot::Pose(..) | Slot::Opening => "-180.00".len(),
             Slot::OpeningPermille => "1000".len(),
-            Slot::SlotNumber => "999999".len(),
+            Slot::PlaceNumber => "999999".len(),
         }
     }
 
@@ -121,7 +121,7 @@ impl Slot {
             Slot::TravelZ => pick.poses().iter().fold(f64::NEG_INFINITY, |z, (_, p)| z.max(p.position_mm[2])),
             Slot::Opening => pick.opening_mm,
             Slot::OpeningPermille => (pick.opening_mm / tool.opening_max_mm * 1000.0).clamp(0.0, 1000.0),
-            Slot::SlotNumber => f64::from(pick.slot),
+            Slot::PlaceNumber => f64::from(pick.slot),
         }
     }
 }

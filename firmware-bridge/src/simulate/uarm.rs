@@ -242,13 +242,13 @@ impl UarmFirmware {
             self.say(&format!("{tag}{answer}\n"));
             went_on = true;
         }
-        if now_ns >= self.delay_until_ns {
-            if let Some((tag, line)) = self.commands.pop_front() {
-                let answer = self.execute(&line, now_ns);
-                let space = if tag.is_empty() || answer.is_empty() { "" } else { " " };
-                self.answers.push_back(format!("{tag}{space}{answer}\n"));
-                went_on = true;
-            }
+        if now_ns >= self.delay_until_ns
+            && let Some((tag, line)) = self.commands.pop_front()
+        {
+            let answer = self.execute(&line, now_ns);
+            let space = if tag.is_empty() || answer.is_empty() { "" } else { " " };
+            self.answers.push_back(format!("{tag}{space}{answer}\n"));
+            went_on = true;
         }
         if self.arm.blocks() > 0 && !self.arm.is_moving() && !self.alarm && self.busy == Busy::Free {
             if self.restart_ns.is_none() {

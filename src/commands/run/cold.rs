@@ -70,7 +70,7 @@ impl Cold {
         let replayed = cell.cameras.backend == Backend::Replay;
         let draw = args.soak.is_none() && args.overlay.map_or(replayed, |overlay| overlay == Overlays::All);
         let painter = match draw {
-            true => Some(Painter::new(args.out.clone(), cell.recognition_params(), rig.clone())?),
+            true => Some(Painter::new(args.out.clone(), cell.recognition_params(), *rig)?),
             false => None,
         };
         let total = args.soak.unwrap_or(names.len() as u64);
@@ -301,10 +301,7 @@ impl Painter {
         let decoder = || Decoder::new(Output::Rgb, rig.left.width, rig.left.height);
         Ok(Self {
             folder,
-            pictures: [
-                Picture::new(left, &params, rig.left.clone())?,
-                Picture::new(right, &params, rig.right.clone())?,
-            ],
+            pictures: [Picture::new(left, &params, rig.left)?, Picture::new(right, &params, rig.right)?],
             decoders: [decoder(), decoder()],
             base_from_left: params.grasp.base_from_left.unwrap_or_default(),
             rig,

@@ -73,8 +73,8 @@ impl Setup {
         let cell = Cell::read(&args.cell)?;
         let rig = Rig::read(&cell.rig.calibration)?;
         let parts = Part::read_all(&cell.recognition.parts)?;
-        let recognizer = Recognizer::new(cell.recognition_params(), rig.clone(), parts.clone())?;
-        let record = cell.place.as_ref().map_or(Ok(PlaceRecord::default()), |place| place_record(place))?;
+        let recognizer = Recognizer::new(cell.recognition_params(), rig, parts.clone())?;
+        let record = cell.place.as_ref().map_or(Ok(PlaceRecord::default()), place_record)?;
         let fast = args.soak.is_none()
             && cell.cameras.backend == Backend::Replay
             && cell.cameras.pace == config::Pace::Fast;

@@ -206,12 +206,11 @@ impl<W: Wire> Driver<W> {
 
     fn line_failed(&mut self, code: u16, now_ns: i64) {
         self.flight.pop_front();
-        if let (Phase::Starting, Stage::Preamble(index)) = (self.phase, self.stage) {
-            if W::PREAMBLE.get(usize::from(index)).is_some_and(|line| line.optional)
-                && code != CODE_UNANSWERED
-            {
-                return self.preamble_done(index);
-            }
+        if let (Phase::Starting, Stage::Preamble(index)) = (self.phase, self.stage)
+            && W::PREAMBLE.get(usize::from(index)).is_some_and(|line| line.optional)
+            && code != CODE_UNANSWERED
+        {
+            return self.preamble_done(index);
         }
         if matches!(self.phase, Phase::Working | Phase::Starting) {
             self.begin_stop(Failure::Controller { code }, HeldBy::Alarm, now_ns);

@@ -97,7 +97,7 @@ impl Wire for GrblWire {
                     events.push(Event::WrongDialect);
                 }
                 // A limit alarm answers to nothing but a reset; nothing else is lost by one.
-                if self.unanswered % 3 == 0 {
+                if self.unanswered.is_multiple_of(3) {
                     self.reset();
                 }
                 self.begin(Chore::Greet(now), now);

@@ -116,14 +116,14 @@ impl Wire for UarmWire {
             }
             _ => {}
         }
-        if let Some(flight) = self.flight {
-            if flight.patience.is_some_and(|patience| now - flight.sent >= patience) {
-                self.flight = None;
-                match flight.asked {
-                    Asked::Line(_) => events.push(Event::LineFailed(CODE_UNANSWERED)),
-                    Asked::Version | Asked::Stop => {}
-                    _ => return events.push(Event::Silent),
-                }
+        if let Some(flight) = self.flight
+            && flight.patience.is_some_and(|patience| now - flight.sent >= patience)
+        {
+            self.flight = None;
+            match flight.asked {
+                Asked::Line(_) => events.push(Event::LineFailed(CODE_UNANSWERED)),
+                Asked::Version | Asked::Stop => {}
+                _ => return events.push(Event::Silent),
             }
         }
         if self.polls() {
@@ -189,10 +189,11 @@ impl Wire for UarmWire {
             self.ask_sent = Some(now);
             return (len, false);
         }
-        if self.flight.is_none() && now >= self.own_not_before {
-            if let Some((line, asked)) = self.own_line.take() {
-                return (self.launch(&line, asked, Some(ANSWER), now, out), false);
-            }
+        if self.flight.is_none()
+            && now >= self.own_not_before
+            && let Some((line, asked)) = self.own_line.take()
+        {
+            return (self.launch(&line, asked, Some(ANSWER), now, out), false);
         }
         (0, false)
     }
