@@ -3,6 +3,7 @@
 use pickcell::frame::{Frame, PixelFormat};
 use pickcell::vision::binarize::{Binarize, ColourRange, Params};
 use pickcell::vision::bits::BitImage;
+use pickcell::vision::decode::{Decoder, Output};
 use pickcell::vision::level::Level;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -96,5 +97,22 @@ fn binarize_allocates_nothing_after_new() {
             });
             assert_eq!(allocations, 0, "{format:?}, {colour:?}, {level:?}");
         }
+    }
+}
+
+#[test]
+fn decoding_allocates_nothing_after_new() {
+    let mut rgb = vec![40u8; 3 * 320 * 240];
+    rgb.chunks_exact_mut(7).for_each(|some| some[0] = 200);
+    let mut bytes = Vec::new();
+    image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 85)
+        .encode(&rgb, 320, 240, image::ExtendedColorType::Rgb8)
+        .expect("encodes");
+    let mjpeg = Frame { bytes, format: PixelFormat::Mjpeg, width: 320, height: 240, ..Frame::default() };
+    for output in [Output::Rgb, Output::Grey] {
+        let mut decoder = Decoder::new(output, 320, 240);
+        let mut decoded = false;
+        assert_eq!(allocations_of(|| decoded = decoder.run(&mjpeg).is_ok()), 0, "{output:?}");
+        assert!(decoded);
     }
 }
