@@ -78,7 +78,7 @@ class Arm:
         self.motions = queue.Queue()
         self.process = subprocess.Popen(
             [PROJECT / "target/release/firmware-bridge", "--log", "warn", "simulate", "--pty", self.link,
-             "--dialect", "own", "--format", "json", "--park-mm", "120,240,200"],
+             "--dialect", "own", "--format", "json", "--park-mm", "120", "240", "200"],
             stdout=subprocess.PIPE, text=True)
         threading.Thread(target=self.read, daemon=True).start()
         for _ in range(100):
@@ -171,6 +171,14 @@ class Guest:
 
     marks = {}
 
+    def counts(self):
+        """What the cell counted, from the summary that it prints at the end."""
+        path = self.out / "run.jsonl"
+        for line in reversed(path.read_text().splitlines() if path.exists() else []):
+            if "summary" in line:
+                return json.loads(line)["summary"]["counts"]
+        return {}
+
 
 def judge(name, grasp_mm):
     """What is wrong with a grasp of this scene, and how far it is off."""
@@ -214,7 +222,8 @@ def main():
     parser.add_argument("--keep", action="store_true", help="keep the folder with everything that was said")
     options = parser.parse_args()
     faults = ["unplug", "damaged", "dark"] if options.short else list(FAULTS)
-    names = [f"{3 * i:04}" for i in range(len(faults) + 2)]
+    # Scenes with few enough rods that some lie free; the later, the fewer.
+    names = [f"{9 + 2 * i:04}" for i in range(len(faults) + 2)]
     folder = Path(tempfile.mkdtemp(prefix="pickcell-vm-"))
     failed = []
     if not options.short:
@@ -248,6 +257,15 @@ def main():
         code = guest.process.wait()
         arm.process.terminate()
         arm.process.wait()
+    counts = guest.counts()
+    for fault, count in [("damaged", "frames_damaged"), ("short", "frames_cut_short"),
+                         ("dropped", "frames_missing_by_their_time_stamps")]:
+        if fault in faults:
+            print(f"{fault:<10} counted: {counts.get(count)} {count.replace('_', ' ')}", flush=True)
+            if counts.get(count, 0) < 5:
+                failed.append(f"{count} not counted")
+    if counts.get("candidates_refused_by_the_last_gate") != 0:
+        failed.append("the last gate had to refuse something")
     if code != 0:
         failed.append(f"exit code {code} of the cell")
     if failed or options.keep:
