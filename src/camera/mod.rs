@@ -7,7 +7,6 @@
 
 pub mod pool;
 pub mod replay;
-#[cfg(feature = "v4l2")]
 pub mod v4l;
 
 use std::time::Duration;
@@ -130,7 +129,6 @@ pub enum Camera {
     /// One side of a recorded session.
     Replay(ReplayCamera),
     /// A V4L2 device.
-    #[cfg(feature = "v4l2")]
     V4l(Box<v4l::V4lCamera>),
 }
 
@@ -139,7 +137,6 @@ impl Camera {
     pub fn grab(&mut self, frame: &mut Frame, timeout: Duration) -> Grab {
         match self {
             Camera::Replay(camera) => camera.grab(frame, timeout),
-            #[cfg(feature = "v4l2")]
             Camera::V4l(camera) => camera.grab(frame, timeout),
         }
     }

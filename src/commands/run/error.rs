@@ -30,7 +30,6 @@ pub enum RunError {
     #[error(transparent)]
     Session(#[from] SessionError),
     /// A camera.
-    #[cfg(feature = "v4l2")]
     #[error("{side} camera: {reason}")]
     Camera {
         /// Which.
@@ -38,11 +37,6 @@ pub enum RunError {
         /// What is in the way.
         reason: crate::camera::v4l::CameraError,
     },
-    /// Built without cameras.
-    #[error(
-        "backend = \"v4l2\", but this pickcell was built without the feature v4l2; build it with it, or take backend = \"replay\""
-    )]
-    NoV4l,
     /// The arm.
     #[error("arm: {0}")]
     Arm(#[from] LinkError),

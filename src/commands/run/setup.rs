@@ -153,7 +153,6 @@ fn waker() -> Result<Arc<Waker>, RunError> {
     Waker::new().map(Arc::new).map_err(RunError::System)
 }
 
-#[cfg(feature = "v4l2")]
 fn live(cell: &Cell) -> Result<Eyes, RunError> {
     use crate::camera::v4l::V4lCamera;
     let (Some(left), Some(right)) = (&cell.cameras.left, &cell.cameras.right) else {
@@ -173,11 +172,6 @@ fn live(cell: &Cell) -> Result<Eyes, RunError> {
         pairs: 0,
         replayed: false,
     })
-}
-
-#[cfg(not(feature = "v4l2"))]
-fn live(_: &Cell) -> Result<Eyes, RunError> {
-    Err(RunError::NoV4l)
 }
 
 fn params(args: &RunArgs, cell: &Cell, eyes: &Eyes, record: PlaceRecord, fast: bool) -> Params {
