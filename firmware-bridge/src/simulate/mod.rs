@@ -203,14 +203,17 @@ pub enum Fault {
     /// Random bytes come between its answers.
     Garbage,
     /// Bytes get lost, both ways.
+    #[value(alias = "lost")]
     LostBytes,
     /// Bytes arrive twice, both ways.
+    #[value(alias = "doubled")]
     DoubledBytes,
     /// It restarts in the middle of a motion.
     Reset,
     /// It refuses a target.
     Refused,
     /// The gripper closes on nothing.
+    #[value(alias = "part-not-held")]
     NotHeld,
     /// It begins late and moves at a tenth of its speed.
     Slow,
