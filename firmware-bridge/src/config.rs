@@ -94,6 +94,9 @@ pub struct Arm {
     pub ack_timeout_ms: u32,
     /// How often a message is sent again, 0 to 20; then the connection is given up and made anew.
     pub resends: u32,
+    /// Grbl: how many lines may wait for their answer, 1 to 15. More make many short moves smoother; but if an answer
+    /// is lost on the line, a refused move is noticed only after those behind it have begun.
+    pub lines_ahead: u32,
     /// A pick must be complete within this time after it was sent, ms, 100 to 600 000.
     pub pick_timeout_ms: u32,
     /// For arms that do not report being clear of the view: how long after the end of the motion the cell waits
@@ -132,6 +135,7 @@ impl Default for Arm {
             handshake_timeout_ms: 1000,
             ack_timeout_ms: 100,
             resends: 3,
+            lines_ahead: 1,
             pick_timeout_ms: 30_000,
             clear_dwell_ms: 0,
             retries: 1,
@@ -385,6 +389,7 @@ impl Arm {
         within("arm.handshake_timeout_ms", self.handshake_timeout_ms, 10, 60_000)?;
         within("arm.ack_timeout_ms", self.ack_timeout_ms, 5, 60_000)?;
         within("arm.resends", self.resends, 0, 20)?;
+        within("arm.lines_ahead", self.lines_ahead, 1, 15)?;
         within("arm.pick_timeout_ms", self.pick_timeout_ms, 100, 600_000)?;
         within("arm.clear_dwell_ms", self.clear_dwell_ms, 0, 60_000)?;
         within("arm.retries", self.retries, 0, 20)?;

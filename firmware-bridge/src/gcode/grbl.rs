@@ -1,6 +1,9 @@
 //! Grbl 1.1: lines acknowledged by `ok` or `error:N`, characters counted so that the receive buffer never
 //! overflows, `?` for the state, `!` and 0x18 at once.
 //!
+//! How many lines may wait for their answer is `arm.lines_ahead`, one unless set: an answer lost on the wire would be
+//! taken for that of the line before, and a refused line be followed by the next.
+//!
 //! `ok` means planned. That the arm has arrived is known from two things: `G4 P0`, which Grbl answers only when
 //! every move is done, and then a status that was asked for after that answer and says `Idle`. (`Idle` alone is also
 //! said between a line and the begin of its motion, and while a dwell runs.)
@@ -27,7 +30,7 @@ pub type Grbl = Driver<GrblWire>;
 /// Receive buffer unless `[OPT:…]` says that it is smaller, bytes.
 const RX_LEN: usize = 128;
 /// Most lines on their way, of the size of the planner.
-const LINES_AHEAD: usize = 15;
+const LINES_AHEAD_MAX: usize = 15;
 /// A status that has not come after so long is asked for again.
 const ASK_AGAIN: i64 = 250 * MS;
 /// While something is waited for the status is asked for this often.
@@ -95,6 +98,7 @@ pub struct GrblWire {
     banner_wait: i64,
     handshake: i64,
     rx_len: usize,
+    lines_ahead: usize,
     flights: VecDeque<Flight>,
     urgent: Option<u8>,
     own_line: Option<LineBuf>,

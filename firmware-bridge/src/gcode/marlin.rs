@@ -104,6 +104,9 @@ struct Flight {
     fault: Option<u16>,
     /// It ends with more than an `ok`.
     asks: Option<Question>,
+    /// Not to be sent again after that; a question has taken its place.
+    expires_ns: Option<i64>,
+    replaced: bool,
 }
 
 /// A question, whose answer comes before its `ok`.
@@ -221,6 +224,8 @@ impl MarlinWire {
             tries: 0,
             resend: None,
             fault: None,
+            expires_ns: None,
+            replaced: false,
         };
         self.flight = Some(flight);
         Self::encode(&flight, out)
@@ -338,6 +343,11 @@ impl MarlinWire {
         let Some(flight) = &mut self.flight else { return };
         if number == flight.number.wrapping_add(1) {
             // It was taken; only its `ok` was lost, or the answer too: then it is asked again.
+            if flight.replaced {
+                let fault = flight.fault;
+                self.flight = None;
+                return events.push(fault.map_or(Event::LineDone, Event::LineFailed));
+            }
             if flight.asks.is_none() || flight.asks == self.answered {
                 return self.done(now, events);
             }
@@ -375,6 +385,9 @@ impl MarlinWire {
             // The `ok` of something else.
             self.flight = Some(flight);
             return;
+        }
+        if flight.replaced {
+            return events.push(Event::LineExpired);
         }
         if flight.kind.is_some() {
             return events.push(flight.fault.map_or(Event::LineDone, Event::LineFailed));

@@ -33,6 +33,8 @@ pub(crate) enum Event {
     LineDone,
     /// The oldest line is refused.
     LineFailed(u16),
+    /// The oldest line was never taken, and is too old to be sent again.
+    LineExpired,
     /// Answer to [`Wire::sync`]: it stands, here.
     Standing([Option<f64>; 3]),
     /// It stands, here, without having been asked for it.
@@ -104,6 +106,16 @@ pub(crate) struct Preamble {
     pub(crate) optional: bool,
 }
 
+/// What a wire needs to know of a line.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct About {
+    pub(crate) kind: Kind,
+    /// How long it waits by itself, ms.
+    pub(crate) dwell_ms: u32,
+    /// It begins a pick and must not be sent again after this moment.
+    pub(crate) expires_ns: Option<i64>,
+}
+
 /// One kind of controller at the other end.
 pub(crate) trait Wire: Sized {
     /// Absolute, in millimetres.
@@ -138,7 +150,7 @@ pub(crate) trait Wire: Sized {
     /// Whether a line of so many characters can be sent now.
     fn takes(&self, len: usize) -> bool;
     /// Sends a line: puts it with its number, checksum and end into `out`.
-    fn send(&mut self, line: &LineBuf, kind: Kind, dwell_ms: u32, now_ns: i64, out: &mut [u8]) -> usize;
+    fn send(&mut self, line: &LineBuf, about: About, now_ns: i64, out: &mut [u8]) -> usize;
     /// Waits until every move is done, then says where it stands.
     fn sync(&mut self, now_ns: i64);
     /// Stops motion at once.

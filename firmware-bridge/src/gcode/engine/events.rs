@@ -28,6 +28,7 @@ impl<W: Wire> Driver<W> {
             }
             Event::LineDone => self.line_done(),
             Event::LineFailed(code) => self.line_failed(code, now_ns),
+            Event::LineExpired => self.line_expired(now_ns),
             Event::Standing(position_mm) => self.standing(position_mm, now_ns),
             Event::Resting(position_mm) => {
                 self.seen_mm = position_mm;
@@ -215,6 +216,17 @@ impl<W: Wire> Driver<W> {
         if matches!(self.phase, Phase::Working | Phase::Starting) {
             self.begin_stop(Failure::Controller { code }, HeldBy::Alarm, now_ns);
         }
+    }
+
+    /// The first move of a pick was lost on its way and is too old by now: nothing of it was begun.
+    fn line_expired(&mut self, now_ns: i64) {
+        self.flight.pop_front();
+        self.moved = false;
+        self.expected_mm = self.seen_mm;
+        let Some(current) = self.current.filter(|_| self.phase == Phase::Working) else { return };
+        let ms = |ns: i64| u32::try_from(ns / MS).unwrap_or(u32::MAX);
+        let (age_ms, max_ms) = (ms(current.pick.age_ns(now_ns)), current.pick.ttl_ms);
+        self.refuse_current(Refusal::Stale { age_ms, max_ms });
     }
 
     fn standing(&mut self, position_mm: [Option<f64>; 3], now_ns: i64) {

@@ -2,11 +2,11 @@
 
 use super::super::line::LineBuf;
 use super::super::template::{List, Step};
-use super::super::wire::{CODE_ELSEWHERE, MS, Wire};
+use super::super::wire::{About, CODE_ELSEWHERE, MS, Wire};
 use super::super::words::Kind;
 use super::{Driver, FLIGHT_MAX, Phase, Stage};
 use crate::dialect::Transmit;
-use crate::message::{Failure, HeldBy, Outcome, Refusal, Report, Waypoint};
+use crate::message::{Failure, HeldBy, Outcome, Pick, Refusal, Report, Waypoint};
 
 /// From the last byte of a line on the wire to the begin of its motion, ms, besides the measured delay.
 const BEGIN_MS: u32 = 15;
@@ -82,7 +82,8 @@ impl<W: Wire> Driver<W> {
         }
         self.flight.push_back(Kind::Modal);
         let text = LineBuf::of(line.text);
-        let len = self.wire.send(&text, Kind::Modal, 0, now_ns, out);
+        let len =
+            self.wire.send(&text, About { kind: Kind::Modal, dwell_ms: 0, expires_ns: None }, now_ns, out);
         Transmit { len, urgent: false, pick: None }
     }
 
@@ -141,7 +142,9 @@ impl<W: Wire> Driver<W> {
         if line.kind == Kind::Home {
             (self.expected_mm, self.seen_mm) = ([None; 3], [None; 3]);
         }
-        let len = self.wire.send(&filled.text, line.kind, line.dwell_ms, now_ns, out);
+        let expires_ns = begins.and(self.current).map(|current| self.expires_ns(&current.pick));
+        let about = About { kind: line.kind, dwell_ms: line.dwell_ms, expires_ns };
+        let len = self.wire.send(&filled.text, about, now_ns, out);
         Transmit { len, urgent: false, pick: begins }
     }
 
@@ -170,14 +173,20 @@ impl<W: Wire> Driver<W> {
         self.reports.push(Report::Ready { clear_of_view: self.clear_of_view });
     }
 
+    /// When the bytes that begin a pick must be on the wire: the arm does not look at the time, so what the line takes
+    /// to it is taken off the time to live.
+    fn expires_ns(&self, pick: &Pick) -> i64 {
+        let ttl_ms = pick.ttl_ms.saturating_sub(self.delay_us / 1000 + BEGIN_MS);
+        pick.seen.earliest_ns().saturating_add(i64::from(ttl_ms) * MS)
+    }
+
     /// The last gate, immediately before the bytes of a line are made: its coordinates, and as long as the pick has
     /// not begun also its time.
     fn check_now(&self, point_mm: [Option<f64>; 3], now_ns: i64) -> Result<(), Refusal> {
         let Some(current) = &self.current else { return self.gate.check_box(Waypoint::Line, point_mm) };
         if !current.begun {
             let mut pick = current.pick;
-            // The arm does not look at the time: what the line takes to it is taken off before.
-            pick.ttl_ms = pick.ttl_ms.saturating_sub(self.delay_us / 1000 + BEGIN_MS);
+            pick.ttl_ms = u32::try_from((self.expires_ns(&pick) - pick.seen.earliest_ns()) / MS).unwrap_or(0);
             if current.sent {
                 pick.deadline_ms = pick.ttl_ms;
             }

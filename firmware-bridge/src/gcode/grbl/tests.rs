@@ -8,7 +8,7 @@ use crate::message::{Command, Failure, HeldBy, Pick, Refusal, Report};
 
 fn settings(moves: &str) -> Settings {
     Settings::parse(&format!(
-        "[arm]\ndialect = \"grbl\"\naxes = \"xyz\"\nbanner_wait_ms = 100\n[arm.moves]\n{moves}\n\
+        "[arm]\ndialect = \"grbl\"\naxes = \"xyz\"\nbanner_wait_ms = 100\nlines_ahead = 15\n[arm.moves]\n{moves}\n\
          [workspace]\nmin_mm = [-200, -200, 0]\nmax_mm = [200, 200, 300]\n"
     ))
     .unwrap()

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::config::Settings;
-use crate::gcode::wire::{Preamble, Wire};
+use crate::gcode::wire::{About, Preamble, Wire};
 
 impl Wire for GrblWire {
     const PREAMBLE: &'static [Preamble] = &[Preamble { text: "G90 G21 G94", optional: false }];
@@ -21,7 +21,8 @@ impl Wire for GrblWire {
             banner_wait: i64::from(arm.banner_wait_ms) * MS,
             handshake: i64::from(arm.handshake_timeout_ms) * MS,
             rx_len: RX_LEN,
-            flights: VecDeque::with_capacity(LINES_AHEAD + 4),
+            lines_ahead: arm.lines_ahead as usize,
+            flights: VecDeque::with_capacity(LINES_AHEAD_MAX + 4),
             urgent: None,
             own_line: None,
             ask: false,
@@ -203,15 +204,15 @@ impl Wire for GrblWire {
         self.chore == Chore::None
             && self.alarm.is_none()
             && !self.dirty
-            && self.flights.len() < LINES_AHEAD
+            && self.flights.len() < self.lines_ahead
             && self.used() + len < self.rx_len
     }
 
-    fn send(&mut self, line: &LineBuf, kind: Kind, _dwell_ms: u32, _now: i64, out: &mut [u8]) -> usize {
+    fn send(&mut self, line: &LineBuf, about: About, _now: i64, out: &mut [u8]) -> usize {
         let mut len = 0;
         put(out, &mut len, line.as_bytes());
         put(out, &mut len, b"\n");
-        self.flights.push_back(Flight { len, kind: Some(kind) });
+        self.flights.push_back(Flight { len, kind: Some(about.kind) });
         self.idle_since = None;
         len
     }

@@ -3,7 +3,7 @@
 use super::*;
 use crate::config::Settings;
 use crate::dialect::TRANSMIT_LEN_MIN;
-use crate::message::{Command, Disconnect, Failure, HeldBy, Report};
+use crate::message::{Command, Disconnect, Failure, HeldBy, Refusal, Report};
 
 /// The cell's end, a clock, and a person who types what Marlin would say.
 struct Desk {
@@ -148,6 +148,29 @@ fn a_line_is_sent_again_when_it_is_asked_for_and_never_when_it_was_taken() {
     // It had been taken: only the acknowledgement was lost.
     let taken = "Error:Line Number is not Last Line Number+1, Last Line: 6\r\nResend: 7\r\nok\r\n";
     assert!(desk.hear(taken).starts_with("N7 G0 Z45.000"));
+}
+
+#[test]
+fn a_first_move_that_got_lost_is_not_sent_again_when_it_is_stale() {
+    // The controller has not taken the number: what comes under it now is a question, and the pick is refused.
+    let mut desk = Desk::new();
+    desk.make_ready();
+    desk.pick();
+    desk.wait(240);
+    desk.hear("Error:checksum mismatch, Last Line: 5\r\nResend: 6\r\nok\r\n");
+    desk.now_ns += 400 * MS;
+    assert_eq!(desk.wait(2), "N6 M114\\n");
+    desk.hear(&at(0.0));
+    let told = desk.told();
+    assert!(matches!(told[0], Report::Refused { id: 7, refusal: Refusal::Stale { .. } }), "{told:?}");
+    // It had taken it, and only its answer was lost: then it is under way.
+    let mut desk = Desk::new();
+    desk.make_ready();
+    desk.pick();
+    desk.now_ns += 600 * MS;
+    assert_eq!(desk.wait(2), "N6 M114\\n");
+    let sent = desk.hear("Error:Line Number is not Last Line Number+1, Last Line: 6\r\nResend: 7\r\nok\r\n");
+    assert_eq!(sent, "N7 G0 Z45.000 F6000\\n");
 }
 
 #[test]

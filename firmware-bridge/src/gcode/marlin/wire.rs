@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::config::Settings;
-use crate::gcode::wire::{Preamble, Wire};
+use crate::gcode::wire::{About, Preamble, Wire};
 
 impl Wire for MarlinWire {
     const PREAMBLE: &'static [Preamble] = &[
@@ -148,6 +148,13 @@ impl Wire for MarlinWire {
                 flight.resend = None;
                 flight.sent = now;
                 flight.fault = None;
+                if flight.expires_ns.is_some_and(|at| now >= at) {
+                    // Under its number goes a question instead: is the number taken already, the move was.
+                    flight.text = LineBuf::of("M114");
+                    flight.asks = Some(Question::Position);
+                    flight.replaced = true;
+                    self.answered = None;
+                }
                 return (Self::encode(flight, out), false);
             }
             return (0, false);
@@ -172,7 +179,8 @@ impl Wire for MarlinWire {
         self.chore == Chore::None && self.flight.is_none() && self.own_line.is_none() && !self.dead
     }
 
-    fn send(&mut self, line: &LineBuf, kind: Kind, dwell_ms: u32, now: i64, out: &mut [u8]) -> usize {
+    fn send(&mut self, line: &LineBuf, about: About, now: i64, out: &mut [u8]) -> usize {
+        let About { kind, dwell_ms, expires_ns } = about;
         let patience = match kind {
             Kind::Motion if self.moves_ahead < MOVES_AHEAD => ANSWER,
             Kind::Motion => ANSWER_WAITING,
@@ -182,7 +190,11 @@ impl Wire for MarlinWire {
         };
         self.next_poll = now + self.heartbeat;
         self.moves_ahead += u32::from(kind == Kind::Motion);
-        self.launch(*line, Some(kind), patience, now, out)
+        let len = self.launch(*line, Some(kind), patience, now, out);
+        if let Some(flight) = &mut self.flight {
+            flight.expires_ns = expires_ns;
+        }
+        len
     }
 
     fn sync(&mut self, _now: i64) {

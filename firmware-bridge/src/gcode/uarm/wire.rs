@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::config::Settings;
-use crate::gcode::wire::{Preamble, Wire};
+use crate::gcode::wire::{About, Preamble, Wire};
 
 impl Wire for UarmWire {
     const PREAMBLE: &'static [Preamble] = &[
@@ -206,7 +206,8 @@ impl Wire for UarmWire {
         self.chore == Chore::None && self.flight.is_none() && self.own_line.is_none() && !self.dirty
     }
 
-    fn send(&mut self, line: &LineBuf, kind: Kind, _dwell_ms: u32, now: i64, out: &mut [u8]) -> usize {
+    fn send(&mut self, line: &LineBuf, about: About, now: i64, out: &mut [u8]) -> usize {
+        let kind = about.kind;
         // Firmware 4 answers a move when it is done: the status and the pick's own time-out watch over it.
         let patience = (kind != Kind::Motion || !self.realtime).then_some(ANSWER);
         self.idle_since = None;
