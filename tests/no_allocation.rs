@@ -5,6 +5,7 @@ use pickcell::vision::binarize::{Binarize, ColourRange, Params};
 use pickcell::vision::bits::BitImage;
 use pickcell::vision::decode::{Decoder, Output};
 use pickcell::vision::level::Level;
+use pickcell::vision::{graph, thin};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
@@ -114,5 +115,35 @@ fn decoding_allocates_nothing_after_new() {
         let mut decoded = false;
         assert_eq!(allocations_of(|| decoded = decoder.run(&mjpeg).is_ok()), 0, "{output:?}");
         assert!(decoded);
+    }
+}
+
+#[test]
+fn thin_and_graph_allocate_nothing_after_one_run() {
+    let colour = ColourRange::Grey { min: 100, max: 255 };
+    let mut binarize =
+        Binarize::new(Params { colour, ..Params::default() }, 320, 240).expect("good parameters");
+    let masks: Vec<(Frame, BitImage)> = (0..4)
+        .map(|moment| {
+            let frame = frame(PixelFormat::Rgb, moment);
+            let mut mask = BitImage::new(320, 240);
+            binarize.run(&frame, &mut mask).expect("a good frame");
+            (frame, mask)
+        })
+        .collect();
+    for algorithm in [thin::Algorithm::ZhangSuen, thin::Algorithm::GuoHall] {
+        for &level in Level::available() {
+            let mut thin = thin::Thin::with_level(thin::Params { algorithm }, 320, 240, level);
+            let mut graphs = graph::Graphs::with_level(graph::Params::default(), 320, 240, level);
+            let (mut skeleton, mut graph) = (BitImage::new(320, 240), graph::Graph::default());
+            let mut run = |(frame, mask): &(Frame, BitImage)| {
+                thin.run(mask, &mut skeleton);
+                // More than the limits, too: a refusal is no reason to allocate.
+                let _ = graphs.run(&skeleton, mask, Some(frame), &mut graph);
+            };
+            // The first picture is empty: what comes later must fit all the same.
+            run(&masks[0]);
+            assert_eq!(allocations_of(|| masks.iter().for_each(&mut run)), 0, "{algorithm:?}, {level:?}");
+        }
     }
 }

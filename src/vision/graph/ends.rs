@@ -15,9 +15,6 @@ use std::ops::Range;
 const RAY_OFFSET: f32 = 0.4;
 /// Farthest that grey values may move an end from the mask's border, in pixels.
 const SHIFT_MAX_PX: usize = 2;
-/// Most pixels that thinning is taken to have eaten from an end. A diagonal line of even thickness shrinks from its
-/// end by many pixels, a known weakness of Zhang and Suen's conditions (doi:10.1145/62065.62074).
-const EATEN_PX_MAX: f32 = 80.0;
 /// Least difference of grey levels between part and background for grey values to count.
 const CONTRAST_MIN: f32 = 12.0;
 
