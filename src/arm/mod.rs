@@ -31,6 +31,15 @@ impl Arm {
         Ok(Arm::Linked(Box::new(Link::open(settings, session_seed)?)))
     }
 
+    /// Makes a simulated arm move so many times as fast as an ordinary one; others stay as they are.
+    pub fn hasten(&mut self, tempo: f64) {
+        if let Arm::Linked(link) = self
+            && let Link::Simulated(link) = &mut **link
+        {
+            link.arm().set_tempo(tempo);
+        }
+    }
+
     /// Says something to the arm.
     ///
     /// # Errors

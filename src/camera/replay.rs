@@ -12,11 +12,14 @@ use std::time::Duration;
 use super::{Condition, Grab, Side};
 use crate::frame::{Frame, TimestampMark};
 use crate::handover::Waker;
-use crate::session::{RecordedPair, Session, SessionError, read_picture};
+use crate::session::{RecordedPair, Session, SessionError, read_picture, read_raw_picture};
 use crate::time::Timestamp;
 
 /// Decoded pictures are kept in memory up to this size, both sides together; the rest is read when it is due.
 const KEPT_BYTES_MAX: usize = 512 << 20;
+
+/// Longest pause between two pairs of a stepped session, ns.
+const BREATH_NS_MAX: i64 = 5_000_000;
 
 /// How fast a session is played.
 #[derive(Clone, Debug)]
@@ -76,11 +79,11 @@ pub struct ReplayCamera {
 
 impl ReplayCamera {
     /// Both sides of `session`, which is repeated until `pairs` pairs were played. The first pair is due a period
-    /// from now.
+    /// from now. `raw`: JPEG pictures are decoded beforehand, as a camera without compression delivers them.
     ///
     /// # Errors
     /// A picture that cannot be read.
-    pub fn both(session: &Session, pace: &Pace, pairs: usize) -> Result<[Self; 2], SessionError> {
+    pub fn both(session: &Session, pace: &Pace, pairs: usize, raw: bool) -> Result<[Self; 2], SessionError> {
         let first_after = match pace {
             Pace::Every(period) => *period,
             Pace::Stepped(_) => Duration::ZERO,
@@ -100,7 +103,7 @@ impl ReplayCamera {
                     pictures.push(Picture::Absent);
                     continue;
                 };
-                let frame = read_picture(path)?;
+                let frame = if raw { read_raw_picture(path)? } else { read_picture(path)? };
                 kept += frame.bytes.len();
                 pictures.push(match kept <= KEPT_BYTES_MAX {
                     true => Picture::Kept(frame),
@@ -152,6 +155,14 @@ impl ReplayCamera {
         Grab::Ended
     }
 
+    /// Sleeps for a ninth of the time that the last pair took. A cell that is never out of work would keep its core
+    /// to itself; the kernel then takes it away from real-time threads for 50 ms in every second.
+    fn take_breath(&self) {
+        let last = self.moments.at[self.next - 1].load(Ordering::Relaxed);
+        let took = Timestamp::now().since(Timestamp(last)).clamp(0, BREATH_NS_MAX * 9);
+        std::thread::sleep(Duration::from_nanos(took as u64 / 9));
+    }
+
     /// Whether the next picture is due before `give_up`; sleeps until then.
     fn wait_due(&self, give_up: Timestamp) -> bool {
         match &self.pace {
@@ -162,7 +173,14 @@ impl ReplayCamera {
             }
             Pace::Stepped(wakers) => {
                 let left = give_up.since(Timestamp::now()).max(0);
-                self.next == 0 || wakers[self.side.index()].wait(Some(Duration::from_nanos(left as u64)))
+                if self.next == 0 {
+                    return true;
+                }
+                let woken = wakers[self.side.index()].wait(Some(Duration::from_nanos(left as u64)));
+                if woken && left > 0 {
+                    self.take_breath();
+                }
+                woken
             }
         }
     }
@@ -211,7 +229,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let session = session(folder.path());
         let pace = Pace::Every(session.period());
-        let [mut left, mut right] = ReplayCamera::both(&session, &pace, 4).unwrap();
+        let [mut left, mut right] = ReplayCamera::both(&session, &pace, 4, false).unwrap();
         let all = |camera: &mut ReplayCamera| {
             let (mut frame, mut seen) = (Frame::default(), Vec::new());
             while let Grab::Frame { condition, .. } = camera.grab(&mut frame, Duration::from_secs(10)) {
@@ -234,7 +252,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let session = session(folder.path());
         let wakers = [(); 2].map(|()| Arc::new(Waker::new().unwrap()));
-        let [mut left, _] = ReplayCamera::both(&session, &Pace::Stepped(wakers.clone()), 3).unwrap();
+        let [mut left, _] = ReplayCamera::both(&session, &Pace::Stepped(wakers.clone()), 3, true).unwrap();
         let mut frame = Frame::default();
         let step = |camera: &mut ReplayCamera, frame: &mut Frame| camera.grab(frame, Duration::ZERO);
         for expected in [0, 20, 0] {

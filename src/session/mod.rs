@@ -14,7 +14,7 @@ use serde::Deserialize;
 
 use crate::camera::Side;
 
-pub use picture::{PictureError, read_picture};
+pub use picture::{PictureError, read_picture, read_raw_picture};
 
 /// What is wrong with a session folder.
 #[derive(Debug, thiserror::Error)]

@@ -74,6 +74,20 @@ pub fn read_picture(path: &Path) -> Result<Frame, PictureError> {
     Ok(from_decoded(decoded, width, height))
 }
 
+/// Reads a picture file as [`read_picture`] does, but decodes a JPEG too.
+///
+/// # Errors
+/// It cannot be read, is no whole picture, or larger than the cell takes.
+pub fn read_raw_picture(path: &Path) -> Result<Frame, PictureError> {
+    let frame = read_picture(path)?;
+    if frame.format != PixelFormat::Mjpeg {
+        return Ok(frame);
+    }
+    let decoded = image::load_from_memory_with_format(&frame.bytes, ImageFormat::Jpeg)
+        .map_err(|reason| PictureError::Broken { path: path.to_owned(), reason })?;
+    Ok(from_decoded(decoded, frame.width, frame.height))
+}
+
 fn from_decoded(decoded: DynamicImage, width: usize, height: usize) -> Frame {
     match decoded.color() {
         ColorType::L8 | ColorType::La8 | ColorType::L16 | ColorType::La16 => Frame {
@@ -106,6 +120,8 @@ mod tests {
         let frame = read_picture(&at("j.jpg")).unwrap();
         assert_eq!((frame.format, frame.width), (PixelFormat::Mjpeg, 8));
         assert_eq!(frame.bytes, std::fs::read(at("j.jpg")).unwrap());
+        let raw = read_raw_picture(&at("j.jpg")).unwrap();
+        assert_eq!((raw.format, raw.bytes.len()), (PixelFormat::Rgb, 3 * 64));
     }
 
     #[test]

@@ -88,6 +88,13 @@ impl SimulatedArm {
         }
     }
 
+    /// Makes an arm of the own protocol move so many times as fast as an ordinary one; the others stay as they are.
+    pub fn set_tempo(&mut self, tempo: f64) {
+        if let Firmware::Own(firmware) = &mut self.firmware {
+            firmware.set_tempo(tempo);
+        }
+    }
+
     /// Bytes that arrived over the line.
     pub fn on_bytes(&mut self, bytes: &[u8], now_ns: i64) {
         for &byte in bytes {

@@ -44,6 +44,8 @@ pub struct OwnFirmware {
     last: Option<LastPick>,
     work: Work,
     told: Option<(ArmState, bool, Option<LastPick>)>,
+    /// So many times as fast as an ordinary arm.
+    tempo: f64,
 }
 
 /// What the arm is at.
@@ -90,7 +92,19 @@ impl OwnFirmware {
             last: None,
             work: Work::Nothing,
             told: None,
+            tempo: 1.0,
         }
+    }
+
+    /// Makes it move so many times as fast as an ordinary arm: for endurance tests of the cell, which would wait for
+    /// the arm most of the time.
+    pub fn set_tempo(&mut self, tempo: f64) {
+        self.tempo = tempo;
+        self.body.speed_mm_s = SPEED_MM_S * tempo;
+    }
+
+    fn hasten(&self, ns: i64) -> i64 {
+        (ns as f64 / self.tempo) as i64
     }
 
     /// Bytes that arrived.
@@ -173,7 +187,7 @@ impl OwnFirmware {
     /// From now on nothing goes wrong by itself.
     pub fn heal(&mut self) {
         self.faults.set = 0;
-        self.body.speed_mm_s = SPEED_MM_S;
+        self.body.speed_mm_s = SPEED_MM_S * self.tempo;
     }
 
     fn on_message(&mut self, message: ToArm, now_ns: i64) {
@@ -254,7 +268,8 @@ impl OwnFirmware {
         if refusal.is_none() {
             let expires_ns = now_ns + i64::from(pick.ttl_ms) * MS;
             let slow = self.draw(Fault::Slow, 0.3);
-            let begin_ns = now_ns + if slow { self.rng.random_range(10..600) * MS } else { BEGIN_NS };
+            let begin_ns =
+                now_ns + if slow { self.rng.random_range(10..600) * MS } else { self.hasten(BEGIN_NS) };
             self.work = Work::Waiting { pick, begin_ns, expires_ns };
         }
     }
@@ -295,7 +310,8 @@ impl OwnFirmware {
 
     fn begin(&mut self, pick: WirePick, now_ns: i64) {
         self.progress(Progress::Moving);
-        self.body.speed_mm_s = if self.draw(Fault::Slow, 0.3) { SPEED_MM_S / 10.0 } else { SPEED_MM_S };
+        self.body.speed_mm_s =
+            self.tempo * if self.draw(Fault::Slow, 0.3) { SPEED_MM_S / 10.0 } else { SPEED_MM_S };
         let reset = self.draw(Fault::Reset, 0.2);
         let reset_ns = reset.then(|| now_ns + self.rng.random_range(0..1000) * MS);
         let holds_part = !self.draw(Fault::NotHeld, 0.2);
@@ -310,7 +326,7 @@ impl OwnFirmware {
             1 => self.go(position_mm(&pick.grasp), now_ns),
             2 => {
                 self.motions.push_back(Motion::Closed { holds_part });
-                until_ns = Some(now_ns + FINGERS_NS);
+                until_ns = Some(now_ns + self.hasten(FINGERS_NS));
             }
             3 => self.go(position_mm(&pick.retreat), now_ns),
             // Without a part there is nothing to place.
@@ -318,7 +334,7 @@ impl OwnFirmware {
             4 => self.go(self.park_mm, now_ns),
             5 if holds_part => {
                 self.motions.push_back(Motion::Opened);
-                until_ns = Some(now_ns + FINGERS_NS);
+                until_ns = Some(now_ns + self.hasten(FINGERS_NS));
             }
             6 if holds_part => self.go(self.park_mm, now_ns),
             _ => {

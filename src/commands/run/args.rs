@@ -38,6 +38,9 @@ pub struct RunArgs {
     /// code 1) on a missed deadline or growing memory
     #[arg(long, value_name = "PAIRS", value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
     pub soak: Option<u64>,
+    /// Decode the JPEG pictures of a recorded session beforehand, as cameras without compression deliver them
+    #[arg(long)]
+    pub raw: bool,
     /// Pairs a second of a soak, or max: as fast as the cell takes them
     #[arg(long, value_name = "HZ", default_value = "max", requires = "soak")]
     pub rate: Rate,

@@ -55,7 +55,7 @@ pub enum RunError {
         reason: String,
     },
     /// A file or folder that cannot be written.
-    #[error("{}: cannot write it: {reason}; check place.state, --out and the rights", path.display())]
+    #[error("{}: cannot read or write it: {reason}; check place.state, --out and the rights", path.display())]
     Unwritable {
         /// The file.
         path: PathBuf,

@@ -17,7 +17,8 @@ pub(super) fn read(path: &Path) -> Result<PlaceRecord, RunError> {
     match fs::read_to_string(path) {
         Ok(text) => toml::from_str(&text).map_err(|e| bad(e.message().to_owned())),
         Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(PlaceRecord::default()),
-        Err(e) => Err(bad(e.to_string())),
+        Err(e) if e.kind() == io::ErrorKind::InvalidData => Err(bad("no text".into())),
+        Err(reason) => Err(RunError::Unwritable { path: path.to_owned(), reason }),
     }
 }
 
@@ -41,6 +42,8 @@ mod tests {
         let record = PlaceRecord { next_slot: 7, next_id: 1 << 50, unfinished_id: 12 };
         write(&path, &record).unwrap();
         assert_eq!(read(&path).unwrap(), record);
+        fs::write(&path, [0xff, 0xfe]).unwrap();
+        assert!(read(&path).unwrap_err().to_string().contains("not a place record (no text)"));
         for broken in ["", "next_slot = -1\nnext_id = 2", "next_slot = 1\nnext_id = 2\nx = 3", "\0\0"] {
             fs::write(&path, broken).unwrap();
             let message = read(&path).unwrap_err().to_string();

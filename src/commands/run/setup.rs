@@ -35,6 +35,8 @@ const SILENCE: Duration = Duration::from_millis(800);
 const DEFER: Duration = Duration::from_secs(30);
 /// Two grasps of one model closer than this are the same part, mm.
 const SAME_PART_MM: f64 = 10.0;
+/// The simulated arm of a soak is so many times as fast as an ordinary one, or there would be few targets to time.
+const SOAK_TEMPO: f64 = 100.0;
 /// Longest first line of a G-code pick, bytes.
 const GCODE_LINE_BYTES: usize = 80;
 
@@ -74,12 +76,22 @@ impl Setup {
         let rig = Rig::read(&cell.rig.calibration)?;
         let parts = Part::read_all(&cell.recognition.parts)?;
         let recognizer = Recognizer::new(cell.recognition_params(), rig, parts.clone())?;
-        let record = cell.place.as_ref().map_or(Ok(PlaceRecord::default()), place_record)?;
+        let mut cell = cell;
+        if args.soak.is_some() {
+            // Nobody empties the tray of a soak.
+            cell.place = None;
+        }
+        let simulated = cell.arm_side.arm.link == LinkName::Replay;
+        let record = cell.place.as_ref().map(|place| place_record(place, simulated)).transpose()?;
+        let record = record.unwrap_or_default();
         let fast = args.soak.is_none()
             && cell.cameras.backend == Backend::Replay
             && cell.cameras.pace == config::Pace::Fast;
         let eyes = eyes(args, &cell, fast)?;
-        let arm = Arm::open(&cell.arm_side, session_seed())?;
+        let mut arm = Arm::open(&cell.arm_side, session_seed())?;
+        if args.soak.is_some() {
+            arm.hasten(SOAK_TEMPO);
+        }
         let params = params(args, &cell, &eyes, record, fast);
         let core = Core::new(params, &cell.arm_side, Timestamp::now());
         let files = match args.overlay {
@@ -109,8 +121,12 @@ impl Setup {
     }
 }
 
-fn place_record(place: &PlaceGrid) -> Result<PlaceRecord, RunError> {
-    let record = place::read(&place.state)?;
+fn place_record(place: &PlaceGrid, simulated: bool) -> Result<PlaceRecord, RunError> {
+    let mut record = place::read(&place.state)?;
+    if simulated && record.next_slot >= place.columns * place.rows {
+        tracing::info!("the tray of the simulated arm is full; it is taken for emptied");
+        record.next_slot = 0;
+    }
     let unwritable = |reason| RunError::Unwritable { path: place.state.clone(), reason };
     if let Some(folder) = place.state.parent() {
         std::fs::create_dir_all(folder).map_err(unwritable)?;
@@ -143,7 +159,7 @@ fn replayed(args: &RunArgs, folder: &Path, fast: bool) -> Result<Eyes, RunError>
     let whole = |pair: &&crate::session::RecordedPair| !stepped || pair.pictures.iter().all(Option::is_some);
     let names: Vec<_> = session.pairs.iter().filter(whole).map(|pair| pair.name.clone()).collect();
     let pairs = args.soak.map_or(names.len(), |pairs| usize::try_from(pairs).unwrap_or(usize::MAX));
-    let sides = ReplayCamera::both(&session, &pace, pairs)?;
+    let sides = ReplayCamera::both(&session, &pace, pairs, args.raw)?;
     let frame_bytes = sides.iter().map(ReplayCamera::largest_bytes).max().unwrap_or(0);
     let cameras = sides.map(Camera::Replay);
     Ok(Eyes { cameras, steps, period, frame_bytes, names, pairs, replayed: true })

@@ -1,0 +1,198 @@
+//! `pickcell run` as a whole program, on the session that comes with the project and on bad input.
+
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::Value;
+use tempfile::TempDir;
+
+/// A copy of the project's cell in a folder of its own, changed by replacing text.
+struct Cell {
+    folder: TempDir,
+}
+
+impl Cell {
+    fn new(changes: &[(&str, &str)]) -> Self {
+        let project = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let mut text = fs::read_to_string(project.join("cell.toml")).unwrap();
+        let replay = format!("{}/", project.join("replay").display());
+        text = text.replace("\"replay/", &format!("\"{replay}"));
+        for (from, to) in changes {
+            assert!(text.contains(from), "{from:?} is in cell.toml");
+            text = text.replacen(from, to, 1);
+        }
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("cell.toml"), text).unwrap();
+        Self { folder }
+    }
+
+    fn fast(changes: &[(&str, &str)]) -> Self {
+        Self::new(&[&[("pace = \"realtime\"", "pace = \"fast\"")], changes].concat())
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn command(&self, args: &[&str]) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_pickcell"));
+        command.arg("run").args(args).current_dir(self.folder.path()).env_remove("NOTIFY_SOCKET");
+        command
+    }
+
+    fn run(&self, args: &[&str]) -> Output {
+        self.command(args).output().unwrap()
+    }
+}
+
+fn stdout(output: &Output) -> String {
+    String::from_utf8(output.stdout.clone()).unwrap()
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+/// The number behind a name in the table.
+fn row(table: &str, name: &str) -> Option<u64> {
+    let line = table.lines().find(|line| line.trim_start().starts_with(name))?;
+    line.trim_start()[name.len()..].split_whitespace().next()?.parse().ok()
+}
+
+#[test]
+fn a_session_gives_a_line_and_a_picture_a_pair_and_a_table() {
+    let cell = Cell::fast(&[]);
+    let output = cell.run(&[]);
+    let text = stdout(&output);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    for i in 0..20 {
+        assert!(text.contains(&format!("\npair {i:04}  ")) || text.starts_with("pair 0000  "), "{i}: {text}");
+        let picture = image::open(cell.path(&format!("out/{i:04}.png"))).unwrap();
+        assert!(picture.width() > 1280 && picture.height() == 480);
+    }
+    assert_eq!((row(&text, "pairs"), row(&text, "frames")), (Some(20), Some(40)));
+    assert!(row(&text, "parts found").unwrap() > 80, "{text}");
+    assert_eq!(row(&text, "targets sent"), row(&text, "targets done"));
+    assert!(row(&text, "targets sent").unwrap() >= 1);
+    assert!(text.contains("no target: arm busy") && text.contains("frame to wire"));
+    assert!(fs::read_to_string(cell.path("out/place.state")).unwrap().contains("next_slot = 1"));
+}
+
+#[test]
+fn a_fast_session_is_the_same_every_time() {
+    let results = || {
+        let output = Cell::fast(&[]).run(&["--format", "json", "--overlay", "none", "--seed", "5"]);
+        let text = stdout(&output);
+        let mut lines: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+        assert_eq!(lines.len(), 21);
+        assert_eq!(lines.pop().unwrap()["summary"]["counts"]["pairs"], 20);
+        for line in &mut lines {
+            let line = line.as_object_mut().unwrap();
+            assert!(line["time_ms"].is_number());
+            line.remove("time_ms");
+            line.remove("deadline_kept");
+            // Numbers of targets rise from run to run.
+            let sent = line["target"].is_number();
+            line.insert("target".into(), sent.into());
+        }
+        lines
+    };
+    assert_eq!(results(), results());
+}
+
+#[test]
+fn a_session_at_its_own_pace_ends_by_itself() {
+    let cell = Cell::new(&[]);
+    let output = cell.run(&["--overlay", "none", "--iterations", "2000"]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let text = stdout(&output);
+    assert_eq!(row(&text, "pairs"), Some(20), "{text}");
+    assert_eq!(text.lines().filter(|line| line.starts_with("pair ")).count(), 20);
+    assert!(stderr(&output).contains("arm connected"));
+}
+
+/// A session that would take long; `then` is told when its first line is there.
+fn disturbed(changes: &[(&str, &str)], then: impl Fn(Pid)) -> (i32, String, String) {
+    let cell = Cell::new(changes);
+    let session = cell.path("session");
+    fs::create_dir(&session).unwrap();
+    let conveyor = Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/conveyor");
+    for side in ["left", "right"] {
+        std::os::unix::fs::symlink(conveyor.join(side), session.join(side)).unwrap();
+    }
+    fs::write(session.join("session.toml"), "rate_hz = 4.0").unwrap();
+    let toml = fs::read_to_string(cell.path("cell.toml")).unwrap();
+    let own = toml.replace(&format!("session = \"{}\"", conveyor.display()), "session = \"session\"");
+    assert_ne!(toml, own);
+    fs::write(cell.path("cell.toml"), own).unwrap();
+    let mut child =
+        cell.command(&["--overlay", "none"]).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    let mut text = lines.next().unwrap().unwrap() + "\n";
+    then(Pid::from_child(&child));
+    lines.for_each(|line| text += &(line.unwrap() + "\n"));
+    let output = child.wait_with_output().unwrap();
+    (output.status.code().unwrap_or(-1), text, stderr(&output))
+}
+
+#[test]
+fn sigterm_and_sigint_hold_the_arm_print_the_table_and_exit_with_0() {
+    for signal in [Signal::TERM, Signal::INT] {
+        let (code, text, log) = disturbed(&[], |pid| kill_process(pid, signal).unwrap());
+        assert_eq!(code, 0, "{log}");
+        assert!(row(&text, "pairs").unwrap() < 20 && text.contains("latency, ms"), "{text}");
+    }
+}
+
+#[test]
+fn an_arm_that_waits_for_the_operator_moves_after_sigusr1() {
+    let manual = [("resume = \"auto\"", "resume = \"manual\"")];
+    let (code, text, log) = disturbed(&manual, |pid| {
+        kill_process(pid, Signal::USR1).unwrap();
+    });
+    assert_eq!(code, 0, "{log}");
+    assert!(log.contains("arm on hold (Start); release it with SIGUSR1"), "{log}");
+    assert!(row(&text, "targets done").unwrap() >= 1, "{text}");
+}
+
+#[test]
+fn a_short_soak_keeps_its_deadlines_and_its_memory() {
+    // The deadline is a generous one: this runs unoptimised on a busy machine.
+    let cell = Cell::new(&[("# deadline_ms = 66.7", "deadline_ms = 5000.0")]);
+    let output = cell.run(&["--soak", "60", "--raw"]);
+    let text = stdout(&output);
+    assert_eq!(output.status.code(), Some(0), "{text}{}", stderr(&output));
+    assert!(text.contains("soak passed: 60 pairs, no deadline missed, memory flat"), "{text}");
+    assert!(!cell.path("out/0000.png").exists() && !text.contains("pair 0000"));
+    let output = Cell::new(&[("# deadline_ms = 66.7", "deadline_ms = 1.0")]).run(&["--soak", "5"]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(stderr(&output).contains("soak failed: 5 of 5 deadlines missed"), "{}", stderr(&output));
+}
+
+#[test]
+fn bad_input_is_named_with_its_remedy_and_ends_with_2() {
+    let broken = |cell: &Cell, args: &[&str], message: &str| {
+        let output = cell.run(args);
+        assert_eq!(output.status.code(), Some(2), "{message}: {}", stderr(&output));
+        assert!(stderr(&output).contains(message), "{message:?} in {}", stderr(&output));
+        assert_eq!(stdout(&output), "");
+    };
+    broken(&Cell::new(&[]), &["--cell", "nowhere.toml"], "nowhere.toml: cannot read it");
+    broken(&Cell::new(&[]), &["--seed", "abc"], "invalid value 'abc'");
+    broken(&Cell::new(&[]), &["--rate", "30"], "--soak");
+    broken(&Cell::new(&[]), &["--soak", "9", "--rate", "fast"], "from 0.1 to 1000");
+    broken(&Cell::new(&[("pace = \"realtime\"", "pace = \"slow\"")]), &[], "pace");
+    let cell = Cell::new(&[]);
+    fs::create_dir(cell.path("out")).unwrap();
+    fs::write(cell.path("out/place.state"), "garbage").unwrap();
+    broken(&cell, &[], "empty the tray and remove the file");
+    let cell = Cell::new(&[]);
+    fs::write(cell.path("out"), "a file").unwrap();
+    broken(&cell, &[], "cannot read or write it");
+    let project = Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/conveyor\"");
+    let empty = Cell::new(&[(&format!("session = \"{}", project.display()), "session = \".\"")]);
+    broken(&empty, &[], "session.toml: cannot read it");
+}
