@@ -1,4 +1,4 @@
-//! Where frames come from: `enum` [`Camera`].
+//! Where frames come from: `enum` [`Camera`] over a recorded session or a V4L2 device.
 //!
 //! Takes a recycled [`Frame`]; gives it back filled by the one copy of the pixels, with the time stamp and the
 //! state the driver gave it. A camera owns its device or file and the pause between attempts to open it again;
