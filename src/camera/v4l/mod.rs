@@ -11,6 +11,7 @@
 //!    └─────────────────────┴─────────────────────────────────┘   pause: 0.1 s, doubled up to 2 s
 //! ```
 
+pub mod buffers;
 pub mod controls;
 pub mod device;
 mod error;
@@ -26,7 +27,8 @@ use crate::camera::{Condition, Grab, Trouble};
 use crate::config::CameraSettings;
 use crate::frame::{ColourEncoding, Frame, TimestampMark};
 use crate::time::Timestamp;
-use device::{Buffers, Device, DriverFormat, Filled, Readiness};
+use buffers::{Buffers, Filled};
+use device::{Device, DriverFormat, Readiness};
 pub use error::CameraError;
 use error::{in_words, trouble};
 use format::Rows;

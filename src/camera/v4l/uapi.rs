@@ -1,7 +1,7 @@
 //! The part of the kernel's `linux/videodev2.h` that a capture camera needs, and the calls on it.
 //!
 //! Takes and gives the kernel's own structures, filled with zeros where nothing is said; owns nothing. All
-//! `unsafe` of the cameras is in here and in the mapping of [`super::device::Buffers`]. Sizes and request
+//! `unsafe` of the cameras is in here and in the mapping of [`super::buffers`]. Sizes and request
 //! numbers are asserted at compile time against what a C compiler prints for that header on x86-64 and arm64:
 //! `printf("%#lx %zu", VIDIOC_QBUF, sizeof(struct v4l2_buffer))`.
 
