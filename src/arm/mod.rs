@@ -40,6 +40,15 @@ impl Arm {
         }
     }
 
+    /// Ends the faults of a simulated arm; others stay as they are.
+    pub fn heal(&mut self) {
+        if let Arm::Linked(link) = self
+            && let Link::Simulated(link) = &mut **link
+        {
+            link.arm().heal();
+        }
+    }
+
     /// Says something to the arm.
     ///
     /// # Errors

@@ -80,6 +80,11 @@ impl<'a> Carrier<'a> {
         &self.arm
     }
 
+    /// Ends the faults of a simulated arm.
+    pub fn heal_arm(&mut self) {
+        self.arm.heal();
+    }
+
     /// When to come again if nothing happens.
     pub fn next_turn(&self) -> Option<Timestamp> {
         self.core.next_tick().into_iter().chain(self.arm.next_poll()).min()

@@ -1,0 +1,185 @@
+//! Core, carrier and simulated arm on a simulated clock, with faults of the line and of the arm drawn from a seed: no
+//! target is lost without a word, none is stale, and whatever happened, the cell picks again afterwards.
+//!
+//! `PICKCELL_CAMPAIGN_RUNS=10000 cargo test --release --test cell_campaign` is the long form.
+
+use std::collections::HashMap;
+
+use firmware_bridge::config::Settings;
+use firmware_bridge::link::{Link, SimulatedLink};
+use firmware_bridge::message::Pose;
+use firmware_bridge::simulate::{Fault, Faults};
+use pickcell::arm::Arm;
+use pickcell::camera::{Condition, Side};
+use pickcell::cell::carrier::Carrier;
+use pickcell::cell::core::{
+    Candidate, Cause, Core, Event, Found, Grasp, Note, Operator, Params, PlaceRecord, State,
+};
+use pickcell::cell::desk::{Desk, Letter, Paper};
+use pickcell::frame::Frame;
+use pickcell::time::Timestamp;
+
+const MS: i64 = 1_000_000;
+const PERIOD_NS: i64 = 33 * MS;
+
+const FAULTS: [Fault; 8] = [
+    Fault::Silence,
+    Fault::Garbage,
+    Fault::LostBytes,
+    Fault::DoubledBytes,
+    Fault::Reset,
+    Fault::Refused,
+    Fault::NotHeld,
+    Fault::Slow,
+];
+
+/// What became of the targets, as the notes tell it.
+#[derive(Default)]
+struct Told {
+    ordered: Vec<u64>,
+    ends: HashMap<u64, u32>,
+    late: u32,
+    done: u32,
+}
+
+struct Campaign<'a> {
+    desk: &'a Desk,
+    carrier: Carrier<'a>,
+    now: Timestamp,
+    told: Told,
+}
+
+impl Campaign<'_> {
+    /// A period passes, with every turn that core and arm ask for in it, then a pair comes and shows a part.
+    fn period(&mut self, x_mm: f64) {
+        let until = Timestamp(self.now.0 + PERIOD_NS);
+        self.carrier.turn(self.now);
+        let mut turns = 0;
+        while let Some(turn) = self.carrier.next_turn().filter(|&turn| turn < until) {
+            self.now = self.now.max(turn);
+            self.carrier.turn(self.now);
+            turns += 1;
+            assert!(turns < 20_000, "core or arm ask for themselves again and again");
+        }
+        self.now = until;
+        for side in Side::BOTH {
+            let mut frame: Frame = self.desk.pool.take().expect("every frame comes back");
+            frame.timestamp = self.now;
+            self.carrier.letter(Letter::Frame(side, frame, Condition::Good, 0), self.now);
+        }
+        if let Some(work) = self.carrier.work.take() {
+            let mut file = self.desk.files.pop().expect("every file comes back");
+            let number = work.job.pair.number;
+            file.pair = work.pair;
+            let mut found = Found { parts: 1, ..Found::default() };
+            let pose = Pose { position_mm: [x_mm, 50.0, 10.0], orientation_xyzw: [1.0, 0.0, 0.0, 0.0] };
+            found.push(Candidate { part: 0, fitness: 0.1, grasp: Grasp(pose), opening_mm: 8.0 });
+            self.now = Timestamp(self.now.0 + 2 * MS);
+            self.carrier.letter(Letter::Recognised(number, found, file), self.now);
+        }
+        self.read();
+    }
+
+    fn read(&mut self) {
+        while let Some(paper) = self.desk.papers.pop() {
+            match paper {
+                Paper::Pair(report, file) => {
+                    self.told.ordered.extend(report.outcome.ok().map(|sent| sent.id));
+                    file.into_iter().for_each(|file| self.desk.give_back(file));
+                }
+                Paper::Note(Note::Ended { id, end }, _) => {
+                    *self.told.ends.entry(id).or_default() += 1;
+                    self.told.done += u32::from(end == pickcell::cell::core::TargetEnd::Done);
+                }
+                Paper::Note(Note::Sent { deadline_kept, .. }, _) => {
+                    self.told.late += u32::from(!deadline_kept);
+                }
+                Paper::Note(..) => {}
+            }
+        }
+    }
+
+    /// The operator releases whenever the arm waits for it.
+    fn release(&mut self) {
+        if matches!(self.carrier.state(), State::Held | State::Alarmed) {
+            self.carrier.event(&Event::Operator(Operator::Release), self.now);
+        }
+    }
+}
+
+fn params() -> Params {
+    Params {
+        window_ns: 13 * MS,
+        period_ns: PERIOD_NS,
+        deadline_ns: 66 * MS,
+        wire_ns: 0,
+        ttl_ms: 500,
+        handed_over_lag_ns: 0,
+        silence_ns: 1000 * MS,
+        iterations: Some(1),
+        seed: 1,
+        has_arm: true,
+        first_id: 1,
+        place: None,
+        record: PlaceRecord::default(),
+        defer_ns: 500 * MS,
+        same_part_mm: 5.0,
+    }
+}
+
+fn run(seed: u64, settings: &Settings) -> (u32, u64) {
+    let faults = [FAULTS[seed as usize % 8], FAULTS[(seed / 8) as usize % 8]];
+    let desk = Desk::new(2, 16).unwrap();
+    let mut link = SimulatedLink::new(settings, seed as u32, Faults::new(seed, &faults)).unwrap();
+    link.arm().set_tempo(4.0);
+    let start = Timestamp(1_000_000 * MS);
+    let arm = Arm::Linked(Box::new(Link::Simulated(link)));
+    let carrier = Carrier::new(&desk, Core::new(params(), settings, start), arm);
+    let mut campaign = Campaign { desk: &desk, carrier, now: start, told: Told::default() };
+    for period in 0..400 {
+        campaign.release();
+        campaign.period(f64::from(period % 20) * 10.0 - 100.0);
+    }
+    // The faults end; what follows must be a cell that works.
+    campaign.carrier.heal_arm();
+    let before = campaign.told.done;
+    for period in 0..900 {
+        campaign.release();
+        campaign.period(f64::from(period % 20) * 10.0 - 100.0);
+        if campaign.told.done > before {
+            break;
+        }
+    }
+    assert!(campaign.told.done > before, "seed {seed} {faults:?}: it picks again once the faults have ended");
+    campaign.carrier.event(&Event::Stop, campaign.now);
+    for _ in 0..40 {
+        if campaign.carrier.ending().is_none() {
+            campaign.now = Timestamp(campaign.now.0 + 20 * MS);
+            campaign.carrier.turn(campaign.now);
+        }
+    }
+    campaign.read();
+    assert!(campaign.carrier.ending().is_some(), "seed {seed}: it ends when asked to");
+    for id in &campaign.told.ordered {
+        assert_eq!(campaign.told.ends.get(id), Some(&1), "seed {seed} {faults:?}: target {id} ends once");
+    }
+    assert_eq!(campaign.told.late, 0, "seed {seed} {faults:?}: a target went out after its deadline");
+    (campaign.told.done, desk.telemetry.count(Cause::Ordered))
+}
+
+#[test]
+fn whatever_the_arm_does_every_target_ends_once_and_the_cell_goes_on() {
+    let runs = std::env::var("PICKCELL_CAMPAIGN_RUNS").ok().and_then(|runs| runs.parse().ok()).unwrap_or(128);
+    let settings = Settings::parse(
+        "[arm]\nbanner_wait_ms = 50\nhandshake_timeout_ms = 200\npick_timeout_ms = 3000\n\
+         [workspace]\nmin_mm = [-200, -200, 0]\nmax_mm = [200, 200, 300]\n",
+    )
+    .unwrap();
+    let (mut done, mut ordered) = (0, 0);
+    for seed in 0..runs {
+        let (run_done, run_ordered) = run(seed, &settings);
+        done += u64::from(run_done);
+        ordered += run_ordered;
+    }
+    assert!(done > runs && ordered > done, "{done} of {ordered} targets done in {runs} runs");
+}
