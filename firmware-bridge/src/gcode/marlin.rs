@@ -325,7 +325,7 @@ impl MarlinWire {
     fn error(&mut self, error: &str, events: &mut Events) {
         let lower = error.to_ascii_lowercase();
         // These come with a `Resend:`.
-        if ["checksum", "line number", "no line"].iter().any(|sign| lower.contains(sign)) {
+        if ["checksum", "line number", "expected line"].iter().any(|sign| lower.contains(sign)) {
             return;
         }
         let dead = lower.contains("kill") || lower.contains("halted") || lower.contains("stopped");
