@@ -239,7 +239,9 @@ impl MarlinWire {
             && (rest.is_empty() || rest.starts_with(' '))
         {
             // Some builds answer M114 and M105 on the line of the `ok`.
-            self.note_position(rest);
+            if let Some(at) = rest.find("X:") {
+                self.note_position(&rest[at..]);
+            }
             return self.ok(rest, now, events);
         }
         let resend = text.strip_prefix("Resend:").or_else(|| text.strip_prefix("rs "));
