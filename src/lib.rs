@@ -23,7 +23,7 @@
 //! | [`pose`] | a rough pose, both pictures | the pose that agrees with both outlines, with its spread | V | recognise |
 //! | [`grasp`] | the poses of all parts | ranked targets, or why a part is blocked | V | recognise |
 //! | [`cell::core`] | events and their times | actions: what is searched, sent, said | IV-D (stop) | recognise |
-//! | `arm` over [`firmware_bridge`] | a target | bytes on a wire, and reports back | | arm |
+//! | [`arm`] over [`firmware_bridge`] | a target | bytes on a wire, and reports back | | arm |
 //!
 //! [`recognize`] composes the stages from pixels to grasps. A stage has one shape: `Params`, a workspace that owns all
 //! its memory, `new`, `run`; each is usable as a library without a cell.toml. With two recognition threads the two
@@ -49,8 +49,8 @@
 //! | [`grasp`] | poses → targets | hot, pure |
 //! | [`recognize`] | the stages in a row, for a pair | hot, pure |
 //! | [`cell`] | every decision in `core`; the threads that carry events to it and actions from it | hot |
-//! | `arm` | the links of firmware_bridge as one type | edge |
-//! | `telemetry` | histograms and counters, written hot, read cold | hot |
+//! | [`arm`] | the links of firmware_bridge as one type | edge |
+//! | [`telemetry`] | histograms and counters, written hot, read cold | hot |
 //! | [`session`] | recordings | cold |
 //! | [`accuracy`] | recognition against known truth | cold |
 //! | [`report`] | overlay and stage pictures | cold |
