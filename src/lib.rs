@@ -13,8 +13,8 @@
 //!
 //! | stage | takes | gives | paper | thread |
 //! |---|---|---|---|---|
-//! | [`camera`] | buffers of a V4L2 device, or pictures of a session | [`Frame`](frame::Frame) with the time of its light | V | left grab, right grab |
-//! | [`cell::pairing`] | frames of both cameras | [`FramePair`](frame::FramePair) | V | recognise |
+//! | [`camera`] | buffers of a V4L2 device, or pictures of a session | [`Frame`](frame::Frame) with the time of its light | V | left, right |
+//! | [`cell::pairing`] | frames of both cameras | [`FramePair`](frame::FramePair) | V | arm |
 //! | [`vision::decode`] | an MJPEG frame | a raw frame | | recognise |
 //! | [`vision::binarize`](mod@vision::binarize) | a raw frame | [`BitImage`](vision::bits::BitImage), object = 1 | IV-A, Algorithm 2 | recognise |
 //! | [`vision::thin`](mod@vision::thin) | the bit image | its skeleton, one pixel wide | IV-B | recognise |
@@ -22,11 +22,12 @@
 //! | [`matching`] | two graphs, the rig, a part's model | matches of nodes with their fitness | III, IV-D, equations (2) to (8) | recognise |
 //! | [`pose`] | a rough pose, both pictures | the pose that agrees with both outlines, with its spread | V | recognise |
 //! | [`grasp`] | the poses of all parts | ranked targets, or why a part is blocked | V | recognise |
-//! | [`cell::core`] | events and their times | actions: what is searched, sent, said | IV-D (stop) | recognise |
+//! | [`cell::core`] | events and their times | actions: what is searched, sent, said | IV-D (stop) | arm |
 //! | [`arm`] over [`firmware_bridge`] | a target | bytes on a wire, and reports back | | arm |
 //!
 //! [`recognize`] composes the stages from pixels to grasps. A stage has one shape: `Params`, a workspace that owns all
-//! its memory, `new`, `run`; each is usable as a library without a cell.toml. With two recognition threads the two
+//! its memory, `new`, `run`; each is usable as a library without a cell.toml. The threads, and a fifth for what is cold
+//! (printing, drawing, writing), are those of [`cell::threads`], which carries letters between them and decides nothing. With two recognition threads the two
 //! pictures of a pair go through binarize, thin and graph at the same time.
 //!
 //! # The rooms

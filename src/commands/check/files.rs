@@ -58,7 +58,7 @@ fn calibration(cell: &Cell, findings: &mut Findings) -> Option<Rig> {
         findings.warning(
             "calibration age",
             format!("the file is {} days old", age.as_secs() / 86_400),
-            "see with `pickcell calibrate check` whether it still holds",
+            "calibrate again if a camera was touched since",
         );
     }
     let cameras = [("left", &cell.cameras.left), ("right", &cell.cameras.right)];
@@ -127,7 +127,7 @@ pub(super) fn check_workspace(cell: &Cell, rig: &Rig, findings: &mut Findings) {
         findings.error(
             "workspace",
             "[rig] has no base_from_left, so that grasps are known in the camera's frame only",
-            "measure it with `pickcell calibrate hand-eye` or `pickcell calibrate touch`",
+            "measure the pose of the left camera in the robot's base (hand-eye calibration)",
         );
         return;
     };

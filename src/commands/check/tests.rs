@@ -78,7 +78,7 @@ fn what_would_keep_the_cell_from_picking_ends_with_1() {
     assert!(text.contains("both cameras see 0 % of its floor → no part that the cameras see"), "{text}");
     let (code, text) = complaint("base_from_left =", "# base_from_left =");
     assert_eq!(code, 1);
-    assert!(text.contains("`pickcell calibrate hand-eye`"), "{text}");
+    assert!(text.contains("measure the pose of the left camera in the robot's base"), "{text}");
     let (code, text) = complaint("# cores = [0]", "cores = [900]");
     assert_eq!(code, 1);
     assert!(text.contains("realtime.cores names core 900"), "{text}");
