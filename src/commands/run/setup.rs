@@ -280,7 +280,10 @@ mod tests {
         assert_eq!(ns("link = \"replay\""), 200_000);
         let own = ns("link = \"serial\"\nport = \"/dev/x\"\nbaud = 1000000");
         assert_eq!(own, PACKET_LEN_MAX as i64 * 10_000);
-        assert_eq!(ns("link = \"serial\"\nport = \"/dev/x\"\nbaud = 100000\ndialect = \"grbl\"\naxes = \"xyz\""), 8_000_000);
+        assert_eq!(
+            ns("link = \"serial\"\nport = \"/dev/x\"\nbaud = 100000\ndialect = \"grbl\"\naxes = \"xyz\""),
+            8_000_000
+        );
     }
 
     #[test]
