@@ -21,6 +21,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod port;
 mod serial;
 pub mod shared;
 mod simulated;

@@ -1,17 +1,17 @@
 //! A dialect on a serial line.
 //!
-//! The device is opened without blocking, exclusively, raw, 8N1 and without flow control. Bytes are handed to the
+//! The device is a [`Port`]: exclusive, raw, 8N1, without flow control, and never waited for. Bytes are handed to the
 //! kernel only as fast as the line takes them, so that a hold has at most one packet before it, and that one is
 //! thrown away. A port that vanished is opened again with growing pauses.
 
 use super::LinkError;
+use super::port::Port;
 use crate::config::Settings;
 use crate::dialect::{Dialect, RECEIVE_LEN_MAX, TRANSMIT_LEN_MIN};
 use crate::message::{Command, Refusal, Report};
-use rustix::fd::{AsFd, BorrowedFd, OwnedFd};
-use rustix::fs::{Mode, OFlags};
+use rustix::fd::{AsFd, BorrowedFd};
 use rustix::io::Errno;
-use rustix::termios::{ControlModes, OptionalActions, QueueSelector, SpecialCodeIndex};
+use rustix::termios::QueueSelector;
 use std::path::{Path, PathBuf};
 
 const MS: i64 = 1_000_000;
@@ -44,6 +44,16 @@ pub enum SerialError {
         /// What to do.
         remedy: &'static str,
     },
+    /// It is a serial device that does not take the settings.
+    #[error("cannot set {} to {baud} baud: {reason}; check arm.port and arm.baud", path.display())]
+    Refused {
+        /// The device.
+        path: PathBuf,
+        /// `arm.baud`.
+        baud: u32,
+        /// What is wrong.
+        reason: serialport::Error,
+    },
 }
 
 /// A dialect, its port, and what is under way between them.
@@ -53,7 +63,7 @@ pub struct SerialLink {
     path: PathBuf,
     baud: u32,
     byte_ns: i64,
-    port: Option<OwnedFd>,
+    port: Option<Port>,
     /// What `transmit` gave and the kernel has not taken yet.
     rest: [u8; TRANSMIT_LEN_MIN],
     rest_from: usize,
@@ -78,7 +88,7 @@ impl SerialLink {
         let path = arm.port.clone().ok_or(SerialError::NoPort)?;
         let mut link = Self {
             dialect: Dialect::new(settings, super::life_number(session_seed))?,
-            port: Some(open_port(&path, arm.baud)?),
+            port: Some(Port::open(&path, arm.baud)?),
             path,
             baud: arm.baud,
             byte_ns: 10_000_000_000 / i64::from(arm.baud),
@@ -148,7 +158,7 @@ impl SerialLink {
         if now_ns < self.reopen_ns {
             return;
         }
-        match open_port(&self.path, self.baud) {
+        match Port::open(&self.path, self.baud) {
             Ok(port) => {
                 self.port = Some(port);
                 self.reopen_pause_ns = self.reopen_min_ns;
@@ -231,59 +241,18 @@ impl SerialLink {
     }
 }
 
-fn open_port(path: &Path, baud: u32) -> Result<OwnedFd, SerialError> {
-    let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
-    let port = rustix::fs::open(path, flags, Mode::empty()).map_err(|reason| {
-        let remedy = match reason {
-            Errno::NOENT | Errno::NXIO | Errno::NODEV => {
-                "is it plugged in and switched on? `pickcell devices` lists the serial ports"
-            }
-            Errno::ACCESS | Errno::PERM => {
-                "add the user to the group dialout (then log in again) or set a udev rule"
-            }
-            Errno::BUSY => "another program has it open: end that one",
-            Errno::ISDIR => "arm.port must name a device, not a folder",
-            _ => "check arm.port",
-        };
-        SerialError::Open { path: path.into(), reason, remedy }
-    })?;
-    configure(&port, baud).map_err(|reason| {
-        let remedy = match reason {
-            Errno::NOTTY => "it is no serial device: check arm.port",
-            Errno::BUSY => "another program has it open: end that one",
-            Errno::INVAL => "it does not know this speed: check arm.baud",
-            _ => "check arm.port and arm.baud",
-        };
-        SerialError::Configure { path: path.into(), baud, reason, remedy }
-    })?;
-    Ok(port)
-}
-
-/// Raw, 8N1, no flow control, no modem lines, exclusive.
-fn configure(port: &OwnedFd, baud: u32) -> Result<(), Errno> {
-    let mut termios = rustix::termios::tcgetattr(port)?;
-    termios.make_raw();
-    termios.control_modes |= ControlModes::CLOCAL | ControlModes::CREAD;
-    termios.control_modes &= !(ControlModes::CSTOPB | ControlModes::CRTSCTS | ControlModes::HUPCL);
-    // A read that finds nothing says so, and does not look like a line that was hung up.
-    termios.special_codes[SpecialCodeIndex::VMIN] = 1;
-    termios.special_codes[SpecialCodeIndex::VTIME] = 0;
-    termios.set_speed(baud)?;
-    rustix::termios::tcsetattr(port, OptionalActions::Now, &termios)?;
-    rustix::termios::ioctl_tiocexcl(port)?;
-    rustix::termios::tcflush(port, QueueSelector::IOFlush)
-}
-
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::codec::{Decoder, ToArm, ToArmBody};
     use crate::gate::tests::settings;
     use crate::link::monotonic_ns;
+    use rustix::fd::OwnedFd;
+    use rustix::fs::OFlags;
     use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
     use std::os::unix::ffi::OsStringExt;
 
-    fn pty() -> (OwnedFd, PathBuf) {
+    pub(in crate::link) fn pty() -> (OwnedFd, PathBuf) {
         let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
         grantpt(&master).unwrap();
         unlockpt(&master).unwrap();
