@@ -81,7 +81,7 @@ impl Campaign<'_> {
     }
 
     fn read(&mut self) {
-        while let Some(paper) = self.desk.papers.pop() {
+        while let Some(paper) = self.desk.papers.try_recv() {
             match paper {
                 Paper::Pair(report, file) => {
                     self.told.ordered.extend(report.outcome.ok().map(|sent| sent.id));

@@ -182,7 +182,7 @@ impl<'a> Carrier<'a> {
                 }
             }
             Action::Persist(record) => {
-                if self.desk.records.push(record).is_err() {
+                if self.desk.records.try_send(record).is_err() {
                     self.event_nested(&Event::NotPersisted, now);
                 }
                 self.desk.papers_waker.wake();
@@ -221,7 +221,7 @@ impl<'a> Carrier<'a> {
             }
             _ => Paper::Note(note, now),
         };
-        if let Err(Paper::Pair(_, Some(file))) = self.desk.papers.push(paper) {
+        if let Err(Paper::Pair(_, Some(file))) = self.desk.papers.try_send(paper) {
             self.desk.telemetry.add_unshown();
             self.desk.give_back(file);
         }

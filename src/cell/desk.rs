@@ -1,11 +1,12 @@
 //! What the threads of a cell share: the frames, the files of pairs, the letters between them, the measurements.
 //!
-//! Every queue is bounded and lock-free, every file and frame has one owner and is moved. All of it is made before
-//! the threads start.
+//! What goes from thread to thread goes through bounded channels, what lies in stock (frames, files) through bounded
+//! queues. Every file and frame has one owner and is moved. All of it is made before the threads start. Nobody waits
+//! inside a channel for something to come: a receiver sleeps on its waker, so that to send takes no lock.
 
 use std::io;
-use std::time::Duration;
 
+use crossbeam_channel::{Receiver, Sender, bounded};
 use crossbeam_queue::ArrayQueue;
 
 use super::core::{Found, Job, Note, PairReport, PlaceRecord};
@@ -72,6 +73,40 @@ pub struct Work {
     pub pair: FramePair,
 }
 
+/// A bounded channel with both of its ends; many may send, one thread takes.
+#[derive(Debug)]
+pub struct Tray<T> {
+    sender: Sender<T>,
+    receiver: Receiver<T>,
+}
+
+impl<T> Tray<T> {
+    /// Room for `len`, all of it made now.
+    fn new(len: usize) -> Self {
+        let (sender, receiver) = bounded(len);
+        Self { sender, receiver }
+    }
+
+    /// Puts `value` in, without waiting.
+    ///
+    /// # Errors
+    /// Gives it back where there is no room.
+    pub fn try_send(&self, value: T) -> Result<(), T> {
+        self.sender.try_send(value).map_err(|refused| refused.into_inner())
+    }
+
+    /// Puts `value` in and waits for room if there is none.
+    fn send(&self, value: T) {
+        // It fails only without a receiver, which is here.
+        let _ = self.sender.send(value);
+    }
+
+    /// Takes the oldest, without waiting.
+    pub fn try_recv(&self) -> Option<T> {
+        self.receiver.try_recv().ok()
+    }
+}
+
 /// Everything that is shared.
 #[derive(Debug)]
 pub struct Desk {
@@ -80,13 +115,13 @@ pub struct Desk {
     /// Free files.
     pub files: ArrayQueue<Box<File>>,
     /// To the arm's thread.
-    pub letters: ArrayQueue<Letter>,
+    pub letters: Tray<Letter>,
     /// Wakes the arm's thread.
     pub letters_waker: Waker,
     /// To the cold thread.
-    pub papers: ArrayQueue<Paper>,
+    pub papers: Tray<Paper>,
     /// To the cold thread, before any paper: records to be written, synced and answered.
-    pub records: ArrayQueue<PlaceRecord>,
+    pub records: Tray<PlaceRecord>,
     /// Wakes the cold thread.
     pub papers_waker: Waker,
     /// What is measured.
@@ -110,10 +145,10 @@ impl Desk {
         Ok(Self {
             pool: FramePool::new(frames, frame_bytes),
             files: free,
-            letters: ArrayQueue::new(frames + LETTERS),
+            letters: Tray::new(frames + LETTERS),
             letters_waker: Waker::new()?,
-            papers: ArrayQueue::new(PAPERS),
-            records: ArrayQueue::new(4),
+            papers: Tray::new(PAPERS),
+            records: Tray::new(4),
             papers_waker: Waker::new()?,
             telemetry: Telemetry::new(),
         })
@@ -122,10 +157,9 @@ impl Desk {
     /// Sends a letter to the arm's thread. There is room for every frame of the pool and more; should that thread
     /// be stopped for so long that there is none, the sender sleeps rather than lose a word.
     pub fn send(&self, letter: Letter) {
-        let mut letter = letter;
-        while let Err(refused) = self.letters.push(letter) {
-            letter = refused;
-            std::thread::sleep(Duration::from_millis(1));
+        if let Err(letter) = self.letters.try_send(letter) {
+            self.letters_waker.wake();
+            self.letters.send(letter);
         }
         self.letters_waker.wake();
     }
@@ -136,5 +170,33 @@ impl Desk {
         self.pool.give(std::mem::take(&mut file.pair.right));
         let pushed = self.files.push(file);
         assert!(pushed.is_ok(), "a file that is not from this desk");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_full_tray_gives_back_what_it_cannot_take() {
+        let tray = Tray::new(2);
+        assert_eq!((tray.try_send(1), tray.try_send(2), tray.try_send(3)), (Ok(()), Ok(()), Err(3)));
+        assert_eq!(tray.try_recv(), Some(1));
+        assert_eq!(tray.try_send(4), Ok(()));
+        assert_eq!((tray.try_recv(), tray.try_recv(), tray.try_recv()), (Some(2), Some(4), None));
+    }
+
+    #[test]
+    fn no_letter_is_lost_while_the_arms_thread_is_away() {
+        let desk = Desk::new(0, 0).unwrap();
+        let room = std::iter::from_fn(|| desk.letters.try_send(Letter::Ended(Side::Left)).ok()).count();
+        std::thread::scope(|scope| {
+            let sender = scope.spawn(|| desk.send(Letter::Ended(Side::Right)));
+            desk.letters_waker.wait(None);
+            let taken = std::iter::from_fn(|| desk.letters.try_recv()).count();
+            sender.join().unwrap();
+            let rest = std::iter::from_fn(|| desk.letters.try_recv()).count();
+            assert_eq!(taken + rest, room + 1);
+        });
     }
 }

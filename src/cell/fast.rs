@@ -122,11 +122,11 @@ impl Fast<'_> {
 
     fn clear_desk(&mut self, now: Timestamp, cold: &mut impl FnMut(Option<Paper>)) {
         cold(None);
-        while let Some(paper) = self.desk.papers.pop() {
+        while let Some(paper) = self.desk.papers.try_recv() {
             cold(Some(paper));
         }
         cold(None);
-        while let Some(letter) = self.desk.letters.pop() {
+        while let Some(letter) = self.desk.letters.try_recv() {
             self.carrier.letter(letter, now);
         }
     }

@@ -7,7 +7,7 @@
 //! | arm | the core, the link to the arm | an eventfd and the link | `arm_priority` |
 //! | cold | print, draw, write | an eventfd | none |
 //!
-//! Between them lie bounded lock-free queues; who sends wakes whom it sends to. Nothing spins. A panic in any of them
+//! Between them lie bounded channels; who sends wakes whom it sends to. Nothing spins. A panic in any of them
 //! stops the cell: the arm is told to hold, then the panic goes on.
 
 use std::io;
@@ -293,7 +293,7 @@ fn arm_loop(
         if controls.stop.load(Ordering::Acquire) {
             carrier.event(&Event::Stop, now);
         }
-        while let Some(letter) = desk.letters.pop() {
+        while let Some(letter) = desk.letters.try_recv() {
             carrier.letter(letter, Timestamp::now());
             pass_on(&mut carrier, bench);
         }
@@ -329,7 +329,7 @@ fn cold_loop(desk: &Desk, quit: &AtomicBool, cold: &mut impl FnMut(Option<Paper>
         desk.papers_waker.wait(Some(Duration::from_millis(500)));
         let ending = quit.load(Ordering::Acquire);
         cold(None);
-        while let Some(paper) = desk.papers.pop() {
+        while let Some(paper) = desk.papers.try_recv() {
             cold(Some(paper));
         }
         cold(None);

@@ -94,7 +94,7 @@ impl Cold {
 
     /// Works off a paper, and before it whatever has to be on the disk.
     pub(super) fn take(&mut self, paper: Option<Paper>) {
-        while let Some(record) = self.desk.records.pop() {
+        while let Some(record) = self.desk.records.try_recv() {
             let written = self.state_file.as_ref().map_or(Ok(()), |path| place::write(path, &record));
             if let Err(reason) = &written {
                 self.log(|| tracing::error!(%reason, "cannot write the place record"));
