@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Installs what the build needs and this machine lacks, with apt, and says what. Asks nothing. What is there stays.
 #   cc, pkg-config    the linker, and crates that build C
-#   libclang          reads the system's headers while iceoryx2 is built
+#   libclang          reads the system's headers while v4l and iceoryx2 are built
 # Without apt, or without the right to use it, it says what to install and ends with exit code 1.
 set -euo pipefail
 
@@ -15,7 +15,7 @@ has_libclang() {
 missing=()
 command -v cc >/dev/null || missing+=(gcc libc6-dev)
 command -v pkg-config >/dev/null || missing+=(pkg-config)
-[ -e /usr/include/linux/futex.h ] || missing+=(linux-libc-dev)
+[ -e /usr/include/linux/videodev2.h ] || missing+=(linux-libc-dev)
 has_libclang || missing+=(libclang-dev)
 
 if [ ${#missing[@]} -gt 0 ]; then

@@ -1,11 +1,13 @@
 //! `pickcell devices`: the cameras and serial ports of this machine.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use serde::Serialize;
+use serialport::SerialPortType;
 
 use crate::camera::v4l::device::ControlKind;
 use crate::camera::v4l::list::{self, Listed, ListedControl};
@@ -164,18 +166,32 @@ fn control_in_words(control: &ListedControl) -> String {
     format!("{line}: {}", about.join(", "))
 }
 
-/// Serial ports that have hardware behind them; the kernel lists many that have none.
+/// Serial ports that have hardware behind them; the kernel lists many that have none. The crate `serialport` knows
+/// those of the usual buses and what is plugged in there, the kernel's list also those of a board's own.
 fn serial_ports() -> Vec<SerialPort> {
     let Ok(entries) = fs::read_dir("/sys/class/tty") else { return Vec::new() };
-    let mut names: Vec<String> =
-        entries.flatten().filter_map(|entry| entry.file_name().into_string().ok()).collect();
-    names.sort();
-    names.iter().filter_map(|name| serial_port(name)).collect()
+    let mut ports: BTreeMap<String, String> = entries
+        .flatten()
+        .filter_map(|entry| entry.file_name().into_string().ok())
+        .filter(|name| Path::new("/sys/class/tty").join(name).join("device").exists())
+        .map(|name| (name, String::new()))
+        .collect();
+    for known in serialport::available_ports().unwrap_or_default() {
+        let name = known.port_name.trim_start_matches("/dev/").to_owned();
+        ports.insert(name, description(known.port_type));
+    }
+    ports.into_iter().filter_map(|(name, description)| serial_port(&name, description)).collect()
 }
 
-fn serial_port(name: &str) -> Option<SerialPort> {
+/// What is plugged in, as it says itself.
+fn description(kind: SerialPortType) -> String {
+    let SerialPortType::UsbPort(usb) = kind else { return String::new() };
+    let said = [usb.manufacturer, usb.product, usb.serial_number].into_iter().flatten();
+    said.filter(|text| !text.is_empty()).collect::<Vec<_>>().join(" ")
+}
+
+fn serial_port(name: &str, description: String) -> Option<SerialPort> {
     let class = Path::new("/sys/class/tty").join(name);
-    let device = fs::canonicalize(class.join("device")).ok()?;
     // The 8250 driver makes nodes for ports that a board does not have; their type is 0, "unknown".
     if name.starts_with("ttyS") && fs::read_to_string(class.join("type")).is_ok_and(|t| t.trim() == "0") {
         return None;
@@ -184,13 +200,6 @@ fn serial_port(name: &str) -> Option<SerialPort> {
     if !node.exists() {
         return None;
     }
-    let usb = device.ancestors().find(|folder| folder.join("busnum").is_file());
-    let read = |file: &str| {
-        let text = usb.and_then(|usb| fs::read_to_string(usb.join(file)).ok());
-        text.map(|text| text.trim().to_owned()).filter(|text| !text.is_empty())
-    };
-    let description = [read("manufacturer"), read("product"), read("serial")].into_iter().flatten();
-    let description = description.collect::<Vec<_>>().join(" ");
     let port = stable_serial(&node).unwrap_or_else(|| node.clone());
     Some(SerialPort { port, node, description })
 }

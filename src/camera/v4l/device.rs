@@ -2,14 +2,33 @@
 //!
 //! Takes a path; gives safe calls that say what the driver said; decides nothing. Owns the descriptor; the
 //! buffers are in [`super::buffers`].
+//!
+//! The crate `v4l` opens and closes the node, lists formats, sizes and rates, and sets the format and the rate. The
+//! calls of [`super::uapi`] do what it does not:
+//! - Who it is: its `query_caps` panics where the camera's name is cut in the middle of a character.
+//! - Colours: its `Format` has no Y'CbCr encoding, and it panics at a colour space that it does not know.
+//! - Controls: its `query_controls` panics at types it does not know, its `control` reads no bitmasks and integer menus.
+//! - Streaming: its stream takes no buffer after a time-out, hides a buffer's error mark, and panics when dropped after
+//!   the camera was pulled out.
 
 use std::io;
-use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::os::fd::BorrowedFd;
+use std::os::unix::ffi::OsStrExt;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Duration;
 
+use ::v4l::device::Handle;
+use ::v4l::format::{FieldOrder, Format, FourCC};
+use ::v4l::fraction::Fraction;
+use ::v4l::frameinterval::FrameIntervalEnum;
+use ::v4l::framesize::FrameSizeEnum;
+use ::v4l::parameters::Capabilities;
+use ::v4l::video::Capture;
+use ::v4l::video::capture::Parameters;
 use rustix::event::{PollFd, PollFlags};
-use rustix::fs::{Mode, OFlags};
+use rustix::io::FdFlags;
 use serde::Serialize;
 
 use super::uapi;
@@ -138,9 +157,27 @@ pub enum Readiness {
 }
 
 /// An open device node.
-#[derive(Debug)]
 pub struct Device {
-    fd: OwnedFd,
+    node: ::v4l::Device,
+    handle: Arc<Handle>,
+}
+
+impl std::fmt::Debug for Device {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Device").field("fd", &self.handle.fd()).finish()
+    }
+}
+
+/// A call of the crate, again where a signal interrupted it. The crate panics at what it does not know: that is
+/// [`io::ErrorKind::InvalidData`] here.
+fn asked<T>(call: impl Fn() -> io::Result<T>) -> io::Result<T> {
+    loop {
+        match catch_unwind(AssertUnwindSafe(&call)) {
+            Ok(Err(error)) if error.kind() == io::ErrorKind::Interrupted => {}
+            Ok(result) => return result,
+            Err(_) => return Err(io::ErrorKind::InvalidData.into()),
+        }
+    }
 }
 
 impl Device {
@@ -149,12 +186,18 @@ impl Device {
     /// # Errors
     /// What the system says.
     pub fn open(path: &Path) -> io::Result<Self> {
-        let flags = OFlags::RDWR | OFlags::NONBLOCK | OFlags::CLOEXEC;
-        Ok(Device { fd: rustix::fs::open(path, flags, Mode::empty())? })
+        if path.as_os_str().as_bytes().contains(&0) {
+            return Err(io::Error::from_raw_os_error(libc::EINVAL));
+        }
+        let node = ::v4l::Device::with_path(path)?;
+        let device = Device { handle: node.handle(), node };
+        rustix::io::fcntl_setfd(device.fd(), FdFlags::CLOEXEC)?;
+        Ok(device)
     }
 
     pub(super) fn fd(&self) -> BorrowedFd<'_> {
-        self.fd.as_fd()
+        // SAFETY: the handle closes the descriptor when it is dropped, which the borrow of `self` prevents.
+        unsafe { BorrowedFd::borrow_raw(self.handle.fd()) }
     }
 
     /// Who it is.
@@ -177,43 +220,35 @@ impl Device {
 
     /// The four-character codes of the formats it offers.
     pub fn formats(&self) -> Vec<[u8; 4]> {
-        let entry = |index| {
-            let kind = uapi::BUF_TYPE_VIDEO_CAPTURE;
-            let mut entry = uapi::FormatDescription { index, kind, ..Default::default() };
-            uapi::enumerate_format(self.fd(), &mut entry).ok().map(|()| entry.pixel_format)
-        };
-        (0..ENTRIES_MAX).map_while(entry).collect()
+        let formats = asked(|| self.node.enum_formats()).unwrap_or_default();
+        formats.into_iter().map(|format| format.fourcc.repr).collect()
     }
 
     /// The sizes it offers in a format.
     pub fn sizes(&self, code: [u8; 4]) -> Vec<Size> {
-        let entry = |index| {
-            let mut entry = uapi::FrameSize { index, pixel_format: code, ..Default::default() };
-            uapi::enumerate_size(self.fd(), &mut entry).ok()?;
-            let [a, b, c, d, e, f] = entry.size;
-            Some(match entry.kind {
-                1 => Size::One(a, b),
-                _ => Size::Range { min: (a, d), max: (b, e), step: (c.max(1), f.max(1)) },
-            })
+        let sizes = asked(|| self.node.enum_framesizes(FourCC { repr: code })).unwrap_or_default();
+        let size = |size| match size {
+            FrameSizeEnum::Discrete(one) => Size::One(one.width, one.height),
+            FrameSizeEnum::Stepwise(range) => Size::Range {
+                min: (range.min_width, range.min_height),
+                max: (range.max_width, range.max_height),
+                step: (range.step_width.max(1), range.step_height.max(1)),
+            },
         };
-        (0..ENTRIES_MAX).map_while(entry).collect()
+        sizes.into_iter().map(|entry| size(entry.size)).collect()
     }
 
     /// The rates it offers in a format and size.
     pub fn rates(&self, code: [u8; 4], width: u32, height: u32) -> Vec<Rate> {
+        let fourcc = FourCC { repr: code };
+        let intervals = asked(|| self.node.enum_frameintervals(fourcc, width, height)).unwrap_or_default();
         let hertz =
-            |interval: uapi::Fraction| f64::from(interval.denominator) / f64::from(interval.numerator.max(1));
-        let entry = |index| {
-            let mut entry =
-                uapi::FrameInterval { index, pixel_format: code, width, height, ..Default::default() };
-            uapi::enumerate_interval(self.fd(), &mut entry).ok()?;
-            let [shortest, longest, _] = entry.interval;
-            Some(match entry.kind {
-                1 => Rate::One(hertz(shortest)),
-                _ => Rate::Range(hertz(longest), hertz(shortest)),
-            })
+            |interval: Fraction| f64::from(interval.denominator) / f64::from(interval.numerator.max(1));
+        let rate = |interval| match interval {
+            FrameIntervalEnum::Discrete(one) => Rate::One(hertz(one)),
+            FrameIntervalEnum::Stepwise(range) => Rate::Range(hertz(range.max), hertz(range.min)),
         };
-        (0..ENTRIES_MAX).map_while(entry).collect()
+        intervals.into_iter().map(|entry| rate(entry.interval)).collect()
     }
 
     /// Sets the format nearest to this one and says what it is now.
@@ -221,15 +256,18 @@ impl Device {
     /// # Errors
     /// EBUSY where another program streams.
     pub fn set_format(&self, code: [u8; 4], width: u32, height: u32) -> io::Result<DriverFormat> {
-        let mut format = uapi::Format::capture(uapi::PixFormat {
-            width,
-            height,
-            pixel_format: code,
-            field: uapi::FIELD_NONE,
-            private: uapi::PIX_FMT_PRIV_MAGIC,
-            ..Default::default()
-        });
-        uapi::set_format(self.fd(), &mut format)?;
+        let format = Format {
+            field_order: FieldOrder::Progressive,
+            ..Format::new(width, height, FourCC { repr: code })
+        };
+        match asked(|| self.node.set_format(&format)) {
+            // It is set; only the description of it is beyond the crate.
+            Err(error) if error.kind() == io::ErrorKind::InvalidData => {}
+            result => drop(result?),
+        }
+        // Once more, for the colours.
+        let mut format = uapi::Format::capture();
+        uapi::get_format(self.fd(), &mut format)?;
         let pix = format.pix;
         // Drivers from before these fields existed leave the mark out: then they are not filled in either.
         let extended = pix.private == uapi::PIX_FMT_PRIV_MAGIC;
@@ -250,21 +288,20 @@ impl Device {
     /// # Errors
     /// What the driver says.
     pub fn set_rate(&self, rate_hz: f64) -> io::Result<Option<f64>> {
-        let time_per_frame = if rate_hz.fract() == 0.0 {
-            uapi::Fraction { numerator: 1, denominator: rate_hz as u32 }
+        let interval = if rate_hz.fract() == 0.0 {
+            Fraction::new(1, rate_hz as u32)
         } else {
-            uapi::Fraction { numerator: 10_000_000, denominator: (rate_hz * 1e7).round() as u32 }
+            Fraction::new(10_000_000, (rate_hz * 1e7).round() as u32)
         };
-        let mut parameters = uapi::StreamParameters::capture(time_per_frame);
-        match uapi::set_parameters(self.fd(), &mut parameters) {
+        let now = match asked(|| self.node.set_params(&Parameters::new(interval))) {
             Err(error) if error.raw_os_error() == Some(libc::ENOTTY) => return Ok(None),
             result => result?,
-        }
-        let now = parameters.time_per_frame;
-        if parameters.capability & uapi::CAP_TIMEPERFRAME == 0 || now.numerator == 0 {
+        };
+        let interval = now.interval;
+        if !now.capabilities.contains(Capabilities::TIME_PER_FRAME) || interval.numerator == 0 {
             return Ok(None);
         }
-        Ok(Some(f64::from(now.denominator) / f64::from(now.numerator)))
+        Ok(Some(f64::from(interval.denominator) / f64::from(interval.numerator)))
     }
 
     /// Its controls with their menus, headings and disabled ones left out.
@@ -365,7 +402,7 @@ impl Device {
     /// # Errors
     /// What the system says; an interrupted wait is [`Readiness::Quiet`].
     pub fn wait(&self, timeout: Duration) -> io::Result<Readiness> {
-        let mut fds = [PollFd::new(&self.fd, PollFlags::IN)];
+        let mut fds = [PollFd::from_borrowed_fd(self.fd(), PollFlags::IN)];
         let timeout = rustix::time::Timespec {
             tv_sec: timeout.as_secs().min(3600) as _,
             tv_nsec: timeout.subsec_nanos().into(),
@@ -396,4 +433,28 @@ pub fn control_name(written: &str) -> String {
         }
     }
     name.trim_end_matches('_').to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::cell::Cell;
+
+    #[test]
+    fn an_interrupted_call_is_made_again_and_a_panic_is_an_error() {
+        let calls = Cell::new(0);
+        let interrupted_once = || match calls.replace(calls.get() + 1) {
+            0 => Err(io::ErrorKind::Interrupted.into()),
+            _ => Ok(7),
+        };
+        assert_eq!(asked(interrupted_once).expect("the second answer"), 7);
+        let panics = || -> io::Result<()> { panic!("Invalid colorspace") };
+        assert_eq!(asked(panics).expect_err("a panic").kind(), io::ErrorKind::InvalidData);
+    }
+
+    #[test]
+    fn a_path_that_no_system_can_open_is_an_error() {
+        let path = Path::new(std::ffi::OsStr::from_bytes(b"/dev/video\0"));
+        assert_eq!(Device::open(path).expect_err("no path").raw_os_error(), Some(libc::EINVAL));
+    }
 }

@@ -1,21 +1,20 @@
-//! The part of the kernel's `linux/videodev2.h` that a capture camera needs, and the calls on it.
+//! The part of the kernel's `linux/videodev2.h` that a capture camera needs and the crate `v4l` leaves out or does
+//! unsafely (see [`super::device`]), and the calls on it.
 //!
 //! Takes and gives the kernel's own structures, filled with zeros where nothing is said; owns nothing. All
-//! `unsafe` of the cameras is in here and in the mapping of [`super::buffers`]. Sizes and request
-//! numbers are asserted at compile time against what a C compiler prints for that header on x86-64 and arm64:
-//! `printf("%#lx %zu", VIDIOC_QBUF, sizeof(struct v4l2_buffer))`.
+//! `unsafe` of the cameras is in here, in the mapping of [`super::buffers`] and at the descriptor that a device lends.
+//! Sizes and request numbers are asserted at compile time against what a C compiler prints for that header on x86-64
+//! and arm64: `printf("%#lx %zu", VIDIOC_QBUF, sizeof(struct v4l2_buffer))`.
 
 use std::io;
 use std::os::fd::{AsRawFd, BorrowedFd};
 
 pub(super) const BUF_TYPE_VIDEO_CAPTURE: u32 = 1;
 pub(super) const MEMORY_MMAP: u32 = 1;
-pub(super) const FIELD_NONE: u32 = 1;
 
 pub(super) const CAP_VIDEO_CAPTURE: u32 = 0x1;
 pub(super) const CAP_STREAMING: u32 = 0x0400_0000;
 pub(super) const CAP_DEVICE_CAPS: u32 = 0x8000_0000;
-pub(super) const CAP_TIMEPERFRAME: u32 = 0x1000;
 pub(super) const PIX_FMT_PRIV_MAGIC: u32 = 0xfeed_cafe;
 
 pub(super) const BUF_FLAG_ERROR: u32 = 0x40;
@@ -40,49 +39,6 @@ pub(super) struct Capability {
     pub(super) capabilities: u32,
     pub(super) device_caps: u32,
     pub(super) reserved: [u32; 3],
-}
-
-#[repr(C)]
-#[derive(Clone, Copy, Default)]
-pub(super) struct FormatDescription {
-    pub(super) index: u32,
-    pub(super) kind: u32,
-    pub(super) flags: u32,
-    pub(super) description: [u8; 32],
-    pub(super) pixel_format: [u8; 4],
-    pub(super) mbus_code: u32,
-    pub(super) reserved: [u32; 3],
-}
-
-#[repr(C)]
-#[derive(Clone, Copy, Default)]
-pub(super) struct Fraction {
-    pub(super) numerator: u32,
-    pub(super) denominator: u32,
-}
-
-/// `v4l2_frmsizeenum`; the union as words: width, height, or min, max, step of each.
-#[repr(C)]
-#[derive(Clone, Copy, Default)]
-pub(super) struct FrameSize {
-    pub(super) index: u32,
-    pub(super) pixel_format: [u8; 4],
-    pub(super) kind: u32,
-    pub(super) size: [u32; 6],
-    pub(super) reserved: [u32; 2],
-}
-
-/// `v4l2_frmivalenum`; the union as fractions: the interval, or shortest, longest and step.
-#[repr(C)]
-#[derive(Clone, Copy, Default)]
-pub(super) struct FrameInterval {
-    pub(super) index: u32,
-    pub(super) pixel_format: [u8; 4],
-    pub(super) width: u32,
-    pub(super) height: u32,
-    pub(super) kind: u32,
-    pub(super) interval: [Fraction; 3],
-    pub(super) reserved: [u32; 2],
 }
 
 #[repr(C)]
@@ -113,31 +69,8 @@ pub(super) struct Format {
 }
 
 impl Format {
-    pub(super) fn capture(pix: PixFormat) -> Self {
-        Format { kind: BUF_TYPE_VIDEO_CAPTURE, pad: 0, pix, rest: [0; 152] }
-    }
-}
-
-/// `v4l2_streamparm` with its union as that of a capture device.
-#[repr(C)]
-#[derive(Clone, Copy)]
-pub(super) struct StreamParameters {
-    pub(super) kind: u32,
-    pub(super) capability: u32,
-    pub(super) capture_mode: u32,
-    pub(super) time_per_frame: Fraction,
-    rest: [u8; 184],
-}
-
-impl StreamParameters {
-    pub(super) fn capture(time_per_frame: Fraction) -> Self {
-        StreamParameters {
-            kind: BUF_TYPE_VIDEO_CAPTURE,
-            capability: 0,
-            capture_mode: 0,
-            time_per_frame,
-            rest: [0; 184],
-        }
+    pub(super) fn capture() -> Self {
+        Format { kind: BUF_TYPE_VIDEO_CAPTURE, pad: 0, pix: PixFormat::default(), rest: [0; 152] }
     }
 }
 
@@ -261,29 +194,24 @@ const fn request(direction: u32, size: usize, number: u32) -> u32 {
 }
 
 const QUERYCAP: u32 = request(2, size_of::<Capability>(), 0);
-const ENUM_FMT: u32 = request(3, size_of::<FormatDescription>(), 2);
-const S_FMT: u32 = request(3, size_of::<Format>(), 5);
+const G_FMT: u32 = request(3, size_of::<Format>(), 4);
 const REQBUFS: u32 = request(3, size_of::<RequestBuffers>(), 8);
 const QUERYBUF: u32 = request(3, size_of::<Buffer>(), 9);
 const QBUF: u32 = request(3, size_of::<Buffer>(), 15);
 const DQBUF: u32 = request(3, size_of::<Buffer>(), 17);
 const STREAMON: u32 = request(1, 4, 18);
 const STREAMOFF: u32 = request(1, 4, 19);
-const S_PARM: u32 = request(3, size_of::<StreamParameters>(), 22);
 const QUERYMENU: u32 = request(3, size_of::<QueryMenu>(), 37);
 const G_EXT_CTRLS: u32 = request(3, size_of::<ExtControls>(), 71);
 const S_EXT_CTRLS: u32 = request(3, size_of::<ExtControls>(), 72);
-const ENUM_FRAMESIZES: u32 = request(3, size_of::<FrameSize>(), 74);
-const ENUM_FRAMEINTERVALS: u32 = request(3, size_of::<FrameInterval>(), 75);
 const QUERY_EXT_CTRL: u32 = request(3, size_of::<QueryControl>(), 103);
 
 #[cfg(target_pointer_width = "64")]
 const _: () = {
-    assert!(QUERYCAP == 0x8068_5600 && ENUM_FMT == 0xc040_5602 && S_FMT == 0xc0d0_5605);
+    assert!(QUERYCAP == 0x8068_5600 && G_FMT == 0xc0d0_5604);
     assert!(REQBUFS == 0xc014_5608 && QUERYBUF == 0xc058_5609 && QBUF == 0xc058_560f && DQBUF == 0xc058_5611);
-    assert!(STREAMON == 0x4004_5612 && STREAMOFF == 0x4004_5613 && S_PARM == 0xc0cc_5616);
+    assert!(STREAMON == 0x4004_5612 && STREAMOFF == 0x4004_5613);
     assert!(QUERYMENU == 0xc02c_5625 && G_EXT_CTRLS == 0xc020_5647 && S_EXT_CTRLS == 0xc020_5648);
-    assert!(ENUM_FRAMESIZES == 0xc02c_564a && ENUM_FRAMEINTERVALS == 0xc034_564b);
     assert!(QUERY_EXT_CTRL == 0xc0e8_5667 && size_of::<ExtControl>() == 20);
     assert!(std::mem::offset_of!(Format, pix) == 8 && std::mem::offset_of!(Buffer, timestamp) == 24);
     assert!(std::mem::offset_of!(Buffer, sequence) == 56 && std::mem::offset_of!(Buffer, offset) == 64);
@@ -325,16 +253,8 @@ macro_rules! safe_calls {
 safe_calls! {
     /// Who the device is and what it can do.
     query_capability(Capability) = QUERYCAP;
-    /// The pixel format of this index.
-    enumerate_format(FormatDescription) = ENUM_FMT;
-    /// The picture size of this index for this pixel format.
-    enumerate_size(FrameSize) = ENUM_FRAMESIZES;
-    /// The frame interval of this index for this pixel format and size.
-    enumerate_interval(FrameInterval) = ENUM_FRAMEINTERVALS;
-    /// Sets the nearest format that the device has and says which.
-    set_format(Format) = S_FMT;
-    /// Sets the nearest frame interval that the device has and says which.
-    set_parameters(StreamParameters) = S_PARM;
+    /// The format that is set.
+    get_format(Format) = G_FMT;
     /// Makes or, with a count of 0, drops the buffers.
     request_buffers(RequestBuffers) = REQBUFS;
     /// Length and offset of the buffer of this index.
