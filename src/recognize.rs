@@ -2,17 +2,19 @@
 //!
 //! Nothing is kept from one pair to the next. After the first pairs nothing is allocated, except by the JPEG decoder.
 
-use nalgebra::{Isometry3, Point3, Vector2, Vector3};
+use arrayvec::ArrayVec;
+use nalgebra::{Isometry3, Matrix3, Point3, Vector2, Vector3};
 
 use crate::frame::{FramePair, LumaView};
 use crate::grasp::{self, Blocked, Grasp, Placed};
-use crate::matching::exhaustive::{self, Exhaustive};
 use crate::matching::fitness::{Judge, UNMATCHED, Weights};
+use crate::matching::gate::GateParams;
 use crate::matching::hypotheses::{self, Hypothesis, SingleParams};
 use crate::matching::nodes::{self, NodeRole};
-use crate::matching::problem::{Gate, GateParams, MatchModel};
+use crate::matching::problem::MatchModel;
+use crate::matching::search::{self, Search};
 use crate::matching::select::{self, ClaimMap};
-use crate::part::Part;
+use crate::part::{NODES_MAX, Part};
 use crate::picture::Picture;
 use crate::pose::model::PoseModel;
 use crate::pose::refine::{self, Fit, Refine, View};
@@ -37,8 +39,8 @@ pub struct Params {
     pub gate: GateParams,
     /// Weights of the fitness terms.
     pub weights: Weights,
-    /// Limits of the exact search; its `fitness_max` is the threshold for all searches.
-    pub search: exhaustive::Params,
+    /// Which search, and its limits.
+    pub search: search::Params,
     /// What single nodes need to hold a pose.
     pub single: SingleParams,
     /// How poses are refined.
@@ -184,12 +186,12 @@ pub struct FoundNode {
 pub struct FoundPart {
     /// Index of the part.
     pub part: usize,
-    /// Fitness of its match, see [`crate::matching::fitness`].
+    /// Fitness of the fitted part, in the terms and weights of a match, see [`crate::matching::fitness`].
     pub fitness: f64,
     /// From the part's frame to the left camera's.
     pub left_from_part: Isometry3<f64>,
     /// Its nodes, in the part file's order.
-    pub nodes: Vec<FoundNode>,
+    pub nodes: ArrayVec<FoundNode, NODES_MAX>,
     /// How to take it.
     pub grasp: Grasp,
     /// Standard deviation of the grasp's position along the axes of its frame, mm.
@@ -271,8 +273,7 @@ pub struct Recognizer {
     rig: Rig,
     parts: Vec<Prepared>,
     pictures: [Picture; 2],
-    gate: Gate,
-    exhaustive: Exhaustive,
+    search: Search,
     pool: Vec<Hypothesis>,
     refine: Refine,
     explanations: Vec<Explanation>,
@@ -292,12 +293,11 @@ impl Recognizer {
         let picture = |b, camera: &crate::rig::CameraModel| Picture::new(b, &params, camera.clone());
         let pictures = [picture(left, &rig.left)?, picture(right, &rig.right)?];
         let claims = [&rig.left, &rig.right].map(|c| ClaimMap::new(c.width, c.height));
-        let parts = parts.into_iter().map(Prepared::new).collect();
+        let parts: Vec<Prepared> = parts.into_iter().map(Prepared::new).collect();
         Ok(Self {
-            gate: Gate::new(params.gate),
-            exhaustive: Exhaustive::new(params.search),
+            search: Search::new(params.search, params.gate, parts.len()),
             pool: Vec::with_capacity(HYPOTHESES_MAX),
-            refine: Refine::new(params.refine, &rig),
+            refine: Refine::new(lit(&params), &rig),
             explanations: Vec::with_capacity(EXPLANATIONS_MAX),
             explained: 0,
             claims,
@@ -345,7 +345,7 @@ impl Recognizer {
         let nodes = |p: &Picture| p.graph().nodes.len();
         (out.nodes_left, out.nodes_right) = (nodes(&self.pictures[0]), nodes(&self.pictures[1]));
         let seen = Timestamp::now();
-        self.search(budget, out);
+        self.search(budget, seed, out);
         let matched = Timestamp::now();
         self.explain(pair);
         self.compete(out);
@@ -356,44 +356,47 @@ impl Recognizer {
         stages.pose_ns = end.since(matched).max(0) as u64;
         stages.total_ns = end.since(begin).max(0) as u64;
         out.stages = stages;
-        if std::env::var_os("PICK_DEBUG").is_some() {
-            eprintln!(
-                "{stages:?} pool {} explained {} nodes {} stereo {} steps {}",
-                self.pool.len(),
-                self.explained,
-                self.pictures[0].nodes().len(),
-                self.gate.nodes().len(),
-                out.iterations
-            );
-        }
         Ok(())
     }
 
-    /// Fills the pool with rough poses of all parts, fittest first.
-    fn search(&mut self, budget: Budget, out: &mut Recognition) {
-        let Self { pictures, rig, parts, gate, exhaustive, pool, params, .. } = self;
+    /// Fills the pool with rough poses of all parts, fittest first: those of matches, and those that single nodes hold
+    /// with the wire that leaves them. A single node costs an iteration of the budget.
+    fn search(&mut self, budget: Budget, seed: u64, out: &mut Recognition) {
+        let Self { pictures, rig, parts, search, pool, params, .. } = self;
         let [left, right] = [pictures[0].nodes(), pictures[1].nodes()];
         pool.clear();
         let thickness = parts.iter().map(|p| p.part.thickness_mm);
         let thickness_mm = [thickness.clone().fold(f64::INFINITY, f64::min), thickness.fold(0.0, f64::max)];
-        gate.run(rig, left, right, thickness_mm);
-        for (index, prepared) in parts.iter().enumerate() {
-            let judge = Judge {
-                rig,
-                masks: [pictures[0].mask(), pictures[1].mask()],
-                model: &prepared.match_model,
-                weights: params.weights,
-            };
-            exhaustive.run(&judge, gate.nodes(), left, right, budget.less(out.iterations));
-            out.iterations += exhaustive.steps();
-            out.out_of_time |= !exhaustive.is_complete();
-            for found in exhaustive.matches() {
-                if pool.len() < HYPOTHESES_MAX {
-                    pool.extend(hypotheses::of_match(index, &prepared.match_model, found, gate.nodes()));
+        let judge_of = |part: usize| Judge {
+            rig,
+            masks: [pictures[0].mask(), pictures[1].mask()],
+            model: &parts[part].match_model,
+            weights: params.weights,
+            length_tolerance_mm: params.search.length_tolerance_mm,
+        };
+        search.begin(rig, left, right, thickness_mm);
+        search.run_exact(judge_of, budget);
+        (out.iterations, out.out_of_time) = (search.iterations(), search.is_out_of_time());
+        for index in 0..parts.len() {
+            let judge = judge_of(index);
+            for (n, node) in search.near_nodes() {
+                if budget.is_spent(out.iterations) {
+                    out.out_of_time = true;
+                    break;
                 }
-            }
-            for (n, node) in gate.nodes().iter().enumerate() {
+                out.iterations += 1;
                 hypotheses::of_single_node(&params.single, index, &judge, rig, n, node, left, right, pool);
+            }
+        }
+        search.run_by_chance(rig, [left, right], judge_of, budget, &mut out.iterations, seed);
+        out.out_of_time |= search.is_out_of_time();
+        let matches: usize = (0..parts.len()).map(|p| search.matches(p).len()).sum();
+        pool.truncate(HYPOTHESES_MAX.saturating_sub(matches));
+        for (index, prepared) in parts.iter().enumerate() {
+            for found in search.matches(index) {
+                if pool.len() < HYPOTHESES_MAX {
+                    pool.extend(hypotheses::of_match(index, &prepared.match_model, found, search.nodes()));
+                }
             }
         }
         let down = grasp::down_in_left(&params.grasp);
@@ -416,7 +419,7 @@ impl Recognizer {
             explanations,
             explained,
             claims,
-            gate,
+            search,
             ends_taken,
             params,
             ..
@@ -434,7 +437,7 @@ impl Recognizer {
             }
             let prepared = &parts[hypothesis.part];
             let takes_taken_end = hypothesis.nodes.iter().filter(|n| **n != UNMATCHED).any(|&n| {
-                let node = &gate.nodes()[n as usize];
+                let node = &search.nodes()[n as usize];
                 ends_taken[0][node.left as usize] || ends_taken[1][node.right as usize]
             });
             if takes_taken_end
@@ -482,7 +485,7 @@ impl Recognizer {
                 for end in refine.ends() {
                     for side in 0..2 {
                         let Some(end) = end[side] else { continue };
-                        take_ends(pictures[side].nodes(), &end.expected_px, &mut ends_taken[side]);
+                        take_end(pictures[side].nodes(), &end.expected_px, &mut ends_taken[side]);
                     }
                 }
             }
@@ -492,39 +495,6 @@ impl Recognizer {
     /// Lets the explanations compete for the wire.
     fn compete(&mut self, out: &mut Recognition) {
         self.claims.iter_mut().for_each(ClaimMap::clear);
-        if std::env::var_os("PICK_DEBUG").is_some() {
-            for e in &self.explanations[..self.explained] {
-                let p = &self.parts[e.hypothesis.part];
-                let v = &e.verdict;
-                let px: Vec<_> = p
-                    .part
-                    .nodes
-                    .iter()
-                    .map(|n| {
-                        self.rig.project_left(&(e.fit.left_from_part * n.position_mm)).unwrap_or_default()
-                    })
-                    .map(|q| (q.x.round(), q.y.round()))
-                    .collect();
-                eprintln!(
-                    "{} fit {:.2} {:?} clear {:.2} {:.2} outl {:.2} {:.2} miss {:.2} {:.2} over {:.1} off {:.2} endoff {:.1} seen {} worth {:?} misfit {:.2}",
-                    p.part.name,
-                    e.hypothesis.fitness,
-                    px,
-                    v.clear[0],
-                    v.clear[1],
-                    v.outlined[0],
-                    v.outlined[1],
-                    v.missing[0],
-                    v.missing[1],
-                    v.overrun_mm,
-                    v.offset_px,
-                    v.end_offset_px,
-                    v.ends_seen,
-                    select::worth_mm(&self.params.select, &p.pose_model, v, &self.claims),
-                    e.fit.misfit
-                );
-            }
-        }
         while out.parts.len() < PARTS_MAX {
             let best = self.explanations[..self.explained]
                 .iter()
@@ -532,7 +502,7 @@ impl Recognizer {
                 .filter(|(_, e)| !e.taken)
                 .filter_map(|(i, e)| {
                     let model = &self.parts[e.hypothesis.part].pose_model;
-                    Some((i, select::worth_mm(&self.params.select, model, &e.verdict, &self.claims)?))
+                    Some((i, select::worth_mm(&self.params.select, model, &e.fit, &e.verdict, &self.claims)?))
                 })
                 .max_by(|a, b| a.1.total_cmp(&b.1));
             let Some((index, worth_mm)) = best else { return };
@@ -556,22 +526,31 @@ impl Recognizer {
         let placed = prepared.placed(&pose, 0.0);
         let grasp = grasp::grasp_of(&self.params.grasp, &placed);
         let (sigma_mm, sigma_axis_rad) = sigmas(&self.params.grasp, prepared, &e.fit);
-        let nodes = prepared.part.nodes.iter().enumerate().map(|(n, node)| {
+        let sees = |side: usize, px: &Vector2<f64>| {
+            self.pictures[side]
+                .nodes()
+                .iter()
+                .any(|n| n.role != NodeRole::Bend && (n.position_px - px).norm() < SAME_END_PX)
+        };
+        let nodes = prepared.part.nodes.iter().map(|node| {
             let left_mm = pose * node.position_mm;
-            let anchor = prepared.match_model.anchors.iter().position(|a| a.node == Some(n));
-            let matched = anchor.is_some_and(|a| e.hypothesis.nodes[a] != UNMATCHED);
-            FoundNode {
-                left_mm,
-                left_px: self.rig.project_left(&left_mm).unwrap_or_default(),
-                right_px: self.rig.project_right(&left_mm).unwrap_or_default(),
-                seen: if matched { Seen::Both } else { Seen::None },
-            }
+            let left_px = self.rig.project_left(&left_mm).unwrap_or_default();
+            let right_px = self.rig.project_right(&left_mm).unwrap_or_default();
+            let seen = match (sees(0, &left_px), sees(1, &right_px)) {
+                (true, true) => Seen::Both,
+                (true, false) => Seen::Left,
+                (false, true) => Seen::Right,
+                (false, false) => Seen::None,
+            };
+            FoundNode { left_mm, left_px, right_px, seen }
         });
+        let nodes: ArrayVec<FoundNode, NODES_MAX> = nodes.collect();
+        let unseen = nodes.iter().filter(|n| n.seen == Seen::None).count();
         FoundPart {
             part: e.hypothesis.part,
-            fitness: e.hypothesis.fitness,
+            fitness: e.verdict.terms(unseen).fitness(&self.params.weights),
             left_from_part: pose,
-            nodes: nodes.collect(),
+            nodes,
             grasp,
             sigma_mm,
             sigma_axis_rad,
@@ -583,16 +562,16 @@ impl Recognizer {
 
     /// Finds what is blocked and ranks.
     fn grasp(&self, out: &mut Recognition) {
-        let placed: Vec<Placed> = out
+        let placed: ArrayVec<Placed, PARTS_MAX> = out
             .parts
             .iter()
             .map(|f| self.parts[f.part].placed(&f.left_from_part, f.sigma_mm.max()))
             .collect();
-        let verdicts: Vec<Option<Blocked>> = (0..placed.len())
+        let blocked: ArrayVec<Option<Blocked>, PARTS_MAX> = (0..placed.len())
             .map(|i| grasp::blocked(&self.params.grasp, &placed, i, &out.parts[i].grasp))
             .collect();
         drop(placed);
-        for (found, blocked) in out.parts.iter_mut().zip(verdicts) {
+        for (found, blocked) in out.parts.iter_mut().zip(blocked) {
             found.blocked = blocked;
         }
         let rank = |f: &FoundPart| match f.blocked {
@@ -600,7 +579,11 @@ impl Recognizer {
             Some(Blocked::Covered) => 2,
             Some(_) => 1,
         };
-        out.parts.sort_by(|a, b| rank(a).cmp(&rank(b)).then(b.clear.total_cmp(&a.clear)));
+        // An unstable sort allocates nothing; places settle ties the same way every time.
+        let place = |f: &FoundPart| f.left_from_part.translation.z;
+        out.parts.sort_unstable_by(|a, b| {
+            rank(a).cmp(&rank(b)).then(b.clear.total_cmp(&a.clear)).then(place(a).total_cmp(&place(b)))
+        });
     }
 
     fn no_pick(&self, out: &Recognition) -> Option<NoPick> {
@@ -626,10 +609,14 @@ const SAME_ROUGH_MM: [f64; 2] = [2.0, 8.0];
 /// Distance in pixels within which an image node is a part's end.
 const SAME_END_PX: f64 = 5.0;
 
-/// Marks the ends of a picture at a place.
-fn take_ends(nodes: &[nodes::ImageNode], at: &Vector2<f64>, taken: &mut [bool]) {
-    for (node, taken) in nodes.iter().zip(taken) {
-        *taken |= node.role == NodeRole::End && (node.position_px - at).norm() < SAME_END_PX;
+/// Marks the end of a picture at a place: the nearest, for another wire may end beside it.
+fn take_end(nodes: &[nodes::ImageNode], at: &Vector2<f64>, taken: &mut [bool]) {
+    let distance_px = |node: &nodes::ImageNode| (node.position_px - at).norm();
+    let nearest = (0..nodes.len())
+        .filter(|&n| nodes[n].role == NodeRole::End && distance_px(&nodes[n]) < SAME_END_PX)
+        .min_by(|&a, &b| distance_px(&nodes[a]).total_cmp(&distance_px(&nodes[b])));
+    if let Some(n) = nearest {
+        taken[n] = true;
     }
 }
 
@@ -650,6 +637,16 @@ fn is_explained(
         claimed += at.is_some_and(|(px, across)| claims[0].is_claimed_at(&px, &across)) as usize;
     }
     2 * claimed > probed
+}
+
+/// Refinement as the light wants it: dark parts on a light floor are seen whole, so that the middle
+/// between their outlines is their axis.
+fn lit(params: &Params) -> refine::Params {
+    if params.binarize.iter().any(|b| b.inverted) {
+        refine::Params { lift_radii: 0.0, end_lift_radii: 0.0, outline_ratio: 1.0, ..params.refine }
+    } else {
+        params.refine
+    }
 }
 
 fn views<'a>(
@@ -679,6 +676,10 @@ const CONTRAST_MIN: f64 = 12.0;
 /// Errors of neighbouring sections are alike (shading), so that their mean errs more than if they were not.
 const SIGMA_SCALE: f64 = 1.25;
 
+/// What shading moves all sections of a wire alike, in mm: across, and along the line of sight, where the height of
+/// the lit line above the axis ([`refine::Params::lift_radii`]) and the angle between the cameras multiply it.
+const SHADING_SIGMA_MM: [f64; 2] = [0.03, 0.06];
+
 /// Standard deviations of the grasp's position (along the output frame's axes) and of the wire's direction there.
 fn sigmas(params: &grasp::Params, prepared: &Prepared, fit: &Fit) -> (Vector3<f64>, f64) {
     let pose = &fit.left_from_part;
@@ -689,6 +690,10 @@ fn sigmas(params: &grasp::Params, prepared: &Prepared, fit: &Fit) -> (Vector3<f6
     let lever = -arm.cross_matrix();
     let position =
         shift + lever * turn * lever.transpose() + mixed * lever.transpose() + lever * mixed.transpose();
+    let sight = pose.translation.vector.normalize();
+    let position = position * (SIGMA_SCALE * fit.misfit.max(1.0)).powi(2)
+        + Matrix3::identity() * SHADING_SIGMA_MM[0].powi(2)
+        + sight * sight.transpose() * SHADING_SIGMA_MM[1].powi(2);
     let rotation = params.base_from_left.unwrap_or_default().rotation.to_rotation_matrix();
     let turned = rotation.matrix() * position * rotation.matrix().transpose();
     let wire = pose * prepared.part.grasp.approach.cross(&prepared.part.grasp.closing);
@@ -696,7 +701,7 @@ fn sigmas(params: &grasp::Params, prepared: &Prepared, fit: &Fit) -> (Vector3<f6
     let axis = across * turn * across.transpose();
     // Measurements that agree worse than assumed are worth less.
     let scale = SIGMA_SCALE * fit.misfit.max(1.0);
-    (turned.diagonal().map(|v| v.max(0.0).sqrt() * scale), (axis.trace() / 2.0).max(0.0).sqrt() * scale)
+    (turned.diagonal().map(|v| v.max(0.0).sqrt()), (axis.trace() / 2.0).max(0.0).sqrt() * scale)
 }
 
 impl Prepared {

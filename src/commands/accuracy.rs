@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 
 use crate::accuracy::score::{Score, Verdict};
 use crate::accuracy::truth::{self, Scene, SceneSet, Truth};
-use crate::frame::{Frame, FramePair};
+use crate::commands::pictures::{PairFiles, read_pair};
+use crate::commands::recognize::output::PairResult;
+use crate::files::write_atomically;
 use crate::part::Part;
 use crate::recognize::{Params, Recognition, Recognizer};
 use crate::rig::Rig;
@@ -67,38 +69,21 @@ fn run_set(args: &Accuracy, set: &SceneSet, folder: &Path) -> Result<Score, Box<
     });
     let mut recognizer = Recognizer::new(params, rig, parts.clone())?;
     let mut score = Score::default();
-    for scene in set.scenes.iter().filter(|s| {
-        std::env::var("PICK_SCENE").is_ok_and(|w| s.name.contains(&w)) || std::env::var("PICK_SCENE").is_err()
-    }) {
+    for scene in &set.scenes {
         let truth = truth::read_truth(&scene.truth)?;
+        let files = PairFiles {
+            name: scene.name.clone(),
+            folder: set.calibration.with_file_name(&scene.name),
+            files: scene.pictures.clone().map(Some),
+        };
+        let (pair, _) = read_pair(&files, recognizer.rig())?;
         let mut found = Recognition::default();
-        recognizer.run(&read_pair(scene)?, Budget::Iterations(args.iterations), args.seed, &mut found)?;
-        if let Some(dir) = std::env::var_os("PICK_DUMP") {
-            for (k, side) in recognizer.pictures().iter().zip(["left", "right"]) {
-                let (w, h) = (k.mask().width() as u32, k.mask().height() as u32);
-                let (m, sk) = (k.mask().to_grey(), k.skeleton().to_grey());
-                let rgb: Vec<u8> = m
-                    .iter()
-                    .zip(&sk)
-                    .flat_map(|(m, s)| if *s > 0 { [255, 0, 0] } else { [*m / 2; 3] })
-                    .collect();
-                let mut im = image::RgbImage::from_raw(w, h, rgb).unwrap();
-                for n in k.nodes() {
-                    let (x, y) = (n.position_px.x.round() as u32, n.position_px.y.round() as u32);
-                    if x < w && y < h {
-                        im.put_pixel(
-                            x,
-                            y,
-                            image::Rgb(match n.role {
-                                crate::matching::nodes::NodeRole::End => [0, 255, 0],
-                                crate::matching::nodes::NodeRole::Junction => [0, 255, 255],
-                                _ => [255, 255, 0],
-                            }),
-                        );
-                    }
-                }
-                im.save(Path::new(&dir).join(format!("{}-{}-{side}.png", set.name, scene.name))).unwrap();
-            }
+        recognizer.run(&pair, Budget::Iterations(args.iterations), args.seed, &mut found)?;
+        if let Some(out) = &args.out {
+            let folder = out.join(&set.name).join(&scene.name);
+            std::fs::create_dir_all(&folder)?;
+            let result = PairResult::new(Some(&scene.name), &found, &parts, "left", &[found.stages]);
+            write_atomically(&folder.join("results.json"), (result.to_json() + "\n").as_bytes())?;
         }
         let verdicts = score.add(&truth, &found, &parts);
         if args.verbose {
@@ -140,12 +125,4 @@ fn tell(
             );
         }
     }
-}
-
-fn read_pair(scene: &Scene) -> Result<FramePair, image::ImageError> {
-    let frame = |path: &Path| -> Result<Frame, image::ImageError> {
-        let picture = image::open(path)?.into_rgb8();
-        Ok(Frame::from_rgb(picture.width() as usize, picture.height() as usize, picture.into_raw()))
-    };
-    Ok(FramePair { left: frame(&scene.pictures[0])?, right: frame(&scene.pictures[1])? })
 }

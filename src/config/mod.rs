@@ -26,6 +26,7 @@ use std::time::Duration;
 use firmware_bridge::config::Settings;
 use serde::Deserialize;
 
+use crate::matching::harmony;
 use crate::recognize;
 
 pub use crate::vision::binarize::ColourRange;
@@ -122,6 +123,10 @@ impl Cell {
         if let Some(fitness_max) = written.fitness_max {
             params.search.fitness_max = fitness_max;
         }
+        params.search.method = written.search.into();
+        params.gate.mode = written.gate.into();
+        let Harmony { hms, hmcr, par, par_min, par_max } = written.harmony;
+        params.search.harmony = harmony::Params { hms, hmcr, par, par_min, par_max, ..params.search.harmony };
         let Settings { arm, workspace, gripper } = &self.arm_side;
         params.grasp.base_from_left = self.rig.base_from_left;
         params.grasp.workspace = self.rig.base_from_left.map(|_| *workspace);

@@ -6,6 +6,7 @@ use serde::Deserialize;
 
 use super::error::ConfigError;
 use super::source::Source;
+use crate::matching::{gate, search};
 use crate::vision::binarize::ColourRange;
 use crate::vision::thin::Algorithm;
 
@@ -47,6 +48,28 @@ pub enum Gate {
     None,
 }
 
+impl From<SearchMethod> for search::Method {
+    fn from(method: SearchMethod) -> Self {
+        match method {
+            SearchMethod::Auto => Self::Auto,
+            SearchMethod::Harmony => Self::Harmony,
+            SearchMethod::Improved => Self::Improved,
+            SearchMethod::SelfAdaptive => Self::SelfAdaptive,
+            SearchMethod::Random => Self::Random,
+            SearchMethod::Exhaustive => Self::Exhaustive,
+        }
+    }
+}
+
+impl From<Gate> for gate::Mode {
+    fn from(gate: Gate) -> Self {
+        match gate {
+            Gate::Epipolar => Self::Epipolar,
+            Gate::None => Self::None,
+        }
+    }
+}
+
 /// Parameters of the Harmony Searches; the paper's names and, where it gives them, its values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Harmony {
@@ -56,9 +79,9 @@ pub struct Harmony {
     pub hmcr: f64,
     /// Rate of moving such a value to a neighbour (PAR), 0 to 1.
     pub par: f64,
-    /// Smallest PAR of the improved search.
+    /// Smallest PAR of the improved and the self-adaptive search.
     pub par_min: f64,
-    /// Largest PAR of the improved search.
+    /// Largest PAR of the improved and the self-adaptive search.
     pub par_max: f64,
 }
 

@@ -69,6 +69,21 @@ impl ImageNode {
     }
 }
 
+impl ImageNode {
+    /// A node without wire, for scenes that are drawn.
+    pub fn bare(role: NodeRole, position_px: Vector2<f64>, camera: &CameraModel) -> Self {
+        Self {
+            role,
+            position_px,
+            ray: camera.undistort(position_px),
+            half_thickness_px: 0.0,
+            end_visible: role == NodeRole::End,
+            legs: Default::default(),
+            leg_count: 0,
+        }
+    }
+}
+
 /// How bends are found.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Params {

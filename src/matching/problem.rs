@@ -1,17 +1,17 @@
 //! What every search works on: the part's nodes, and the stereo nodes that may be them.
 //!
 //! A stereo node is a node of the left picture and a node of the right one that may show the same point, with that
-//! point in space. The gate keeps the pairs that lie on each other's epipolar lines, at a depth where parts can be,
-//! as thick as the part would look there.
+//! point in space; [`gate`](super::gate) lists them.
 
 use nalgebra::{Point3, Vector2, Vector3};
 
-use super::nodes::{ImageNode, Leg, NodeRole};
+use super::nodes::{Leg, NodeRole};
 use crate::part::Part;
 use crate::rig::Rig;
 
 /// Most nodes (end points, junctions and bends) of a part's model.
-pub const ANCHORS_MAX: usize = 16;
+/// [`Part`] files with more are refused where they are read.
+pub const ANCHORS_MAX: usize = crate::part::ANCHORS_MAX;
 
 /// A node of the part's model that an image node can be: an end point, a junction or a bend.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,7 +35,20 @@ pub struct Span {
     pub to: usize,
     /// Distance between them.
     pub length_mm: f64,
+    /// How many points of it are looked up in each picture.
+    pub looks: u32,
 }
+
+impl Span {
+    /// A straight piece of this length.
+    pub fn new(from: usize, to: usize, length_mm: f64) -> Self {
+        let looks = (length_mm / LOOK_UP_STEP_MM).ceil().clamp(4.0, 64.0) as u32;
+        Self { from, to, length_mm, looks }
+    }
+}
+
+/// Distance in mm between two points of the wire where foreground is looked up.
+const LOOK_UP_STEP_MM: f64 = 4.0;
 
 /// A part as the search sees it.
 #[derive(Clone, Debug, PartialEq)]
@@ -93,7 +106,7 @@ impl MatchModel {
                 let length_mm = along.norm();
                 anchors[from].legs.push((along / length_mm, length_mm));
                 anchors[to].legs.push((-along / length_mm, length_mm));
-                Span { from, to, length_mm }
+                Span::new(from, to, length_mm)
             })
             .collect();
         let distances_mm = anchors
@@ -101,6 +114,13 @@ impl MatchModel {
             .flat_map(|a| anchors.iter().map(move |b| (a.position_mm - b.position_mm).norm()))
             .collect();
         Self { anchors, spans, distances_mm, thickness_mm: part.thickness_mm, straight: part.is_straight() }
+    }
+
+    /// How many anchors must be matched: all of a straight part, else half of them and three at least, which hold a
+    /// pose.
+    pub fn required(&self) -> usize {
+        let all = self.anchors.len();
+        if self.straight { all } else { all.div_ceil(2).max(3).min(all) }
     }
 
     /// Distance between two anchors in mm.
@@ -119,113 +139,18 @@ pub struct StereoNode {
     pub right: u16,
     /// The point, left camera's frame.
     pub point_mm: Point3<f64>,
+    /// Where the point is seen in the left and in the right picture, in pixels: between its node and the other
+    /// node's epipolar line.
+    pub seen_px: [Vector2<f64>; 2],
     /// Distance of the right node from the left node's epipolar line, in pixels.
     pub gap_px: f64,
     /// Whether both look like ends, both like bends, or one of them is a junction.
     pub role: NodeRole,
 }
 
-/// Which pairs of image nodes may show the same point.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct GateParams {
-    /// Distance from the epipolar line at most, for two ends or two bends, in pixels.
-    pub gap_px_max: f64,
-    /// The same where one of them is a junction, whose place depends on what crosses there.
-    pub junction_gap_px_max: f64,
-    /// Depth of a part's points in the left camera's frame, in mm.
-    pub depth_mm: [f64; 2],
-    /// By what factor the thickness seen may differ from the part's.
-    pub thickness_factor_max: f64,
-    /// Most stereo nodes.
-    pub nodes_max: usize,
-}
-
-impl Default for GateParams {
-    fn default() -> Self {
-        Self {
-            gap_px_max: 2.0,
-            junction_gap_px_max: 5.0,
-            depth_mm: [100.0, 2000.0],
-            thickness_factor_max: 1.8,
-            nodes_max: 4096,
-        }
-    }
-}
-
-/// Workspace that lists the stereo nodes of a pair.
-#[derive(Clone, Debug)]
-pub struct Gate {
-    params: GateParams,
-    nodes: Vec<StereoNode>,
-}
-
-impl Gate {
-    /// Reserves all memory.
-    pub fn new(params: GateParams) -> Self {
-        Self { params, nodes: Vec::with_capacity(params.nodes_max) }
-    }
-
-    /// The stereo nodes of the last [`Gate::run`].
-    pub fn nodes(&self) -> &[StereoNode] {
-        &self.nodes
-    }
-
-    /// Lists the stereo nodes for parts between `thickness_mm[0]` and `thickness_mm[1]` thick.
-    pub fn run(&mut self, rig: &Rig, left: &[ImageNode], right: &[ImageNode], thickness_mm: [f64; 2]) {
-        self.nodes.clear();
-        let essential = rig.essential();
-        let focal_px = (rig.right.fx + rig.right.fy) / 2.0;
-        for (i, l) in left.iter().enumerate() {
-            let line = essential * Vector3::new(l.ray.x, l.ray.y, 1.0);
-            let norm = line.x.hypot(line.y).max(1e-12);
-            for (j, r) in right.iter().enumerate() {
-                let gap_px = focal_px * (line.x * r.ray.x + line.y * r.ray.y + line.z).abs() / norm;
-                if gap_px > self.params.junction_gap_px_max {
-                    continue;
-                }
-                let Some(role) = common_role(l.role, r.role) else { continue };
-                if role != NodeRole::Junction && gap_px > self.params.gap_px_max {
-                    continue;
-                }
-                let Some(seen) = rig.triangulate(l.ray, r.ray) else { continue };
-                let z = seen.point_left_mm.z;
-                if !(self.params.depth_mm[0]..=self.params.depth_mm[1]).contains(&z) {
-                    continue;
-                }
-                if role != NodeRole::Junction && !self.thickness_fits(l, r, z, rig, thickness_mm) {
-                    continue;
-                }
-                if self.nodes.len() == self.params.nodes_max {
-                    return;
-                }
-                self.nodes.push(StereoNode {
-                    left: i as u16,
-                    right: j as u16,
-                    point_mm: seen.point_left_mm,
-                    gap_px,
-                    role,
-                });
-            }
-        }
-    }
-
-    fn thickness_fits(
-        &self,
-        l: &ImageNode,
-        r: &ImageNode,
-        z_mm: f64,
-        rig: &Rig,
-        thickness_mm: [f64; 2],
-    ) -> bool {
-        let seen_mm = (l.half_thickness_px / rig.left.fx + r.half_thickness_px / rig.right.fx) * z_mm;
-        let factor = self.params.thickness_factor_max;
-        seen_mm == 0.0 || (thickness_mm[0] / factor..=thickness_mm[1] * factor).contains(&seen_mm)
-    }
-}
-
 /// What two nodes are together; `None` where they cannot be the same point. An end that another wire hides in one
 /// picture is a junction there.
-fn common_role(left: NodeRole, right: NodeRole) -> Option<NodeRole> {
+pub(super) fn common_role(left: NodeRole, right: NodeRole) -> Option<NodeRole> {
     use NodeRole::*;
     match (left, right) {
         (End, End) => Some(End),

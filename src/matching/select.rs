@@ -23,6 +23,13 @@ pub struct Params {
     pub offset_px_max: f64,
     /// Distance of a seen end from the expected one, at most, in pixels.
     pub end_offset_px_max: f64,
+    /// What an end that is seen where it should be is worth, in mm of wire, for each picture.
+    pub seen_end_mm: f64,
+    /// Weight of the length of mask beyond hidden ends: an end under a neighbour is believed, one at the neighbour's
+    /// far side rather.
+    pub hidden_weight: f64,
+    /// What a misfit of one more than usual costs, in mm of wire.
+    pub misfit_mm: f64,
     /// Weight of missing and overrunning wire against seen wire.
     pub against: f64,
 }
@@ -32,14 +39,19 @@ impl Default for Params {
         Self {
             seen_min: 0.4,
             missing_max: 0.06,
-            overrun_mm_max: 6.0,
+            overrun_mm_max: 8.0,
             offset_px_max: 0.9,
             end_offset_px_max: 2.5,
+            seen_end_mm: 2.0,
+            misfit_mm: 15.0,
+            hidden_weight: 0.5,
             against: 3.0,
         }
     }
 }
 
+/// The misfit that sound explanations have.
+const MISFIT_USUAL: f64 = 0.6;
 /// Directions told apart in a claim, over half a turn.
 const DIRECTIONS: i32 = 32;
 /// Claims of directions nearer than this many steps are the same wire.
@@ -165,10 +177,11 @@ pub fn is_sound(fit: &Fit, verdict: &Verdict) -> bool {
 pub fn worth_mm(
     params: &Params,
     model: &PoseModel,
+    fit: &Fit,
     verdict: &Verdict,
     claims: &[ClaimMap; 2],
 ) -> Option<f64> {
-    let missing = verdict.missing[0].max(verdict.missing[1]);
+    let missing = (verdict.missing[0] + verdict.missing[1]) / 2.0;
     if missing > params.missing_max
         || verdict.overrun_mm > params.overrun_mm_max
         || verdict.offset_px > params.offset_px_max
@@ -183,5 +196,8 @@ pub fn worth_mm(
     }
     let px_per_mm = verdict.pieces.first().map_or(1.0, |p| p[0].half_width_px / model.radius_mm).max(1e-3);
     let against = missing * model.length_mm + verdict.overrun_mm + verdict.ends_off_px / px_per_mm;
-    Some((free[0] + free[1]) / 2.0 - params.against * against)
+    let ends = params.seen_end_mm * f64::from(verdict.ends_seen)
+        - params.hidden_weight * verdict.hidden_px / px_per_mm;
+    let misfit = params.misfit_mm * (fit.misfit - MISFIT_USUAL).max(0.0);
+    Some((free[0] + free[1]) / 2.0 + ends - misfit - params.against * against)
 }

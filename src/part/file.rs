@@ -6,8 +6,8 @@ use nalgebra::{Point3, Unit, Vector3};
 use serde::Deserialize;
 
 use super::{
-    BEND_RADIUS_PER_THICKNESS, EDGES_MAX, NODES_MAX, NodeKind, Part, PartEdge, PartError, PartGrasp,
-    PartNode, VIAS_MAX,
+    ANCHORS_MAX, BEND_RADIUS_PER_THICKNESS, EDGES_MAX, NODES_MAX, NodeKind, Part, PartEdge, PartError,
+    PartGrasp, PartNode, VIAS_MAX,
 };
 
 /// Parts are thin things on a table; a coordinate beyond this is a slip of units.
@@ -196,6 +196,14 @@ impl Check<'_> {
                 )));
             }
             edges.push(edge);
+        }
+        let vias: usize = edges.iter().map(|e| e.via.len()).sum();
+        if nodes.len() + vias > ANCHORS_MAX {
+            return Err(self.shape(format!(
+                "{} nodes and {vias} via points; a part has {ANCHORS_MAX} of both together at most, leave out the \
+                 bends that turn least",
+                nodes.len()
+            )));
         }
         Ok(edges)
     }

@@ -28,6 +28,8 @@ pub const NODES_MAX: usize = 32;
 pub const EDGES_MAX: usize = 64;
 /// `via` points an edge may have.
 pub const VIAS_MAX: usize = 64;
+/// Most nodes and `via` points of a part together: what the search keeps memory for.
+pub const ANCHORS_MAX: usize = 32;
 /// Bend radius of the wire's axis over its thickness, where the part file does not say: what wire of 2.5 mm bent
 /// about 3 mm has.
 pub const BEND_RADIUS_PER_THICKNESS: f64 = 1.2;

@@ -203,3 +203,21 @@ proptest::proptest! {
         }
     }
 }
+
+#[test]
+fn more_nodes_and_bends_than_the_search_has_room_for_are_refused() {
+    let zigzag = |bends: usize| {
+        let via: Vec<String> = (0..bends).map(|k| format!("[{},{},0]", 10 * (k + 1), 20 * (k % 2))).collect();
+        let last = 10 * (bends + 1);
+        format!(
+            "name='zigzag'\nthickness_mm=1\nnode=[{{name='a',position_mm=[0,9,0]}},\
+             {{name='b',position_mm=[{last},9,0]}}]\nedge=[{{from='a',to='b',via=[{}]}}]\n\
+             [grasp]\nposition_mm=[10,0,0]\napproach=[0,0,-1]\nclosing=[0,1,0]\nwidth_mm=8\n",
+            via.join(",")
+        )
+    };
+    let error = Part::parse(&zigzag(31), "z.toml").unwrap_err().to_string();
+    assert!(error.contains("2 nodes and 31 via points; a part has 32 of both together at most"), "{error}");
+    let message = Part::parse(&zigzag(30), "z.toml").map(|p| p.edges[0].via.len()).map_err(|e| e.to_string());
+    assert!(!message.is_err_and(|m| m.contains("of both together")));
+}

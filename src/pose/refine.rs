@@ -11,7 +11,8 @@
 //! by 0.07 and 0.1 radii.
 
 use nalgebra::{
-    Isometry3, Matrix2x3, Matrix3, Matrix6, Point3, Rotation3, Translation3, Vector2, Vector3, Vector6,
+    Cholesky, Const, Isometry3, Matrix2x3, Matrix3, Matrix6, Point3, Rotation3, SMatrix, SVector,
+    Translation3, Vector2, Vector3, Vector6,
 };
 
 use super::model::PoseModel;
@@ -29,6 +30,8 @@ const REWEIGHTINGS: u32 = 4;
 const END_PATIENCE: f64 = 4.0;
 /// Where the width is looked at before an end, in half widths.
 const BARE_HALF_WIDTHS: [f64; 3] = [0.8, 1.6, 2.8];
+/// See [`EndSighting::mask_beyond_px`].
+const HIDDEN_PX_MAX: u32 = 12;
 /// Where an end is looked at side by side, in half widths from the middle.
 const END_RAYS: [f64; 5] = [-0.5, -0.25, 0.0, 0.25, 0.5];
 /// A pose that moved the wire by less than this in the pictures need not be looked at again.
@@ -43,6 +46,8 @@ pub struct Params {
     pub outline_ratio: f64,
     /// Standard deviation of a section's middle, in pixels.
     pub section_sigma_px: f64,
+    /// Standard deviation of what shading moves all sections of a straight wire alike in one picture, in pixels.
+    pub shading_sigma_px: f64,
     /// Standard deviation of an end, in pixels.
     pub end_sigma_px: f64,
     /// The same for the outline of an end, which is where the lit upper side stops.
@@ -61,6 +66,7 @@ impl Default for Params {
             lift_radii: 0.36,
             outline_ratio: 0.85,
             section_sigma_px: 0.15,
+            shading_sigma_px: 0.01,
             end_sigma_px: 0.14,
             end_lift_radii: 0.6,
             end_reach_radii: 0.03,
@@ -108,6 +114,10 @@ pub struct EndSighting {
     pub beyond_px: Option<f64>,
     /// The expected place.
     pub expected_px: Vector2<f64>,
+    /// Unit vector out of the part.
+    pub outward: Vector2<f64>,
+    /// Length of mask from the expected place outwards where the end is hidden, up to [`HIDDEN_PX_MAX`].
+    pub mask_beyond_px: f64,
     gradient: Vector6<f64>,
 }
 
@@ -131,7 +141,21 @@ struct Observation {
     sigma: f64,
     /// Residual at which belief has halved, over that of a section: an end is seldom mistaken.
     patience: f64,
+    /// The picture whose shading moves it, if any.
+    shaded: Option<usize>,
 }
+
+/// Normal equations, decomposed, and how well the weighted observations agree.
+struct Weighed {
+    normal: Cholesky<f64, Const<8>>,
+    right_side: Unknowns,
+    misfit: f64,
+    believed: usize,
+}
+
+/// Displacement and rotation of the part, then the offset of all sections in each picture.
+type Unknowns = SVector<f64, 8>;
+type Normal = SMatrix<f64, 8, 8>;
 
 /// Workspace of pose refinement.
 pub struct Refine {
@@ -252,9 +276,12 @@ impl Refine {
                     .end(aim.px, aim.along, aim.half_width_px, search_px, rays)
                     .filter(|&beyond| end_is_bare(&aim, beyond, view))
                     .map(|beyond| beyond + params.end_reach_radii * aim.half_width_px);
+                let hidden = rays.len() > 1 && beyond_px.is_none();
                 Some(EndSighting {
                     beyond_px,
                     expected_px: aim.px,
+                    outward: aim.along,
+                    mask_beyond_px: if hidden { mask_beyond_px(view.mask, &aim) } else { 0.0 },
                     gradient: aim.gradient(&aim.along, &(point - centre)),
                 })
             }));
@@ -267,7 +294,7 @@ impl Refine {
         for station in model.stations.iter().step_by(COARSE_STRIDE).filter(|s| !s.at_joint) {
             let (point, tangent) = (pose * station.position_mm, pose.rotation * station.tangent);
             let lifted = lifted(self.params.lift_radii, &self.eye, model.radius_mm, &point, &tangent);
-            for view in views {
+            for (side, view) in views.iter().enumerate() {
                 let Some(aim) = aim(model.radius_mm, &lifted, &tangent, view) else { continue };
                 let Some((middle, width)) = mask_run(view.mask, aim.px, aim.across, search_px) else {
                     continue;
@@ -276,7 +303,8 @@ impl Refine {
                     continue;
                 }
                 let gradient = aim.gradient(&aim.across, &(point - centre));
-                self.push(gradient, middle, 2.0 * self.params.section_sigma_px, 1.0);
+                let shaded = model.straight_along.map(|_| side);
+                self.push(gradient, middle, 2.0 * self.params.section_sigma_px, 1.0, shaded);
             }
         }
         self.look_at_ends(model, pose, views, search_px + 4.0, &[0.0]);
@@ -293,7 +321,7 @@ impl Refine {
                 let Some(sighting) = self.sightings[k][side] else { continue };
                 let Some(section) = sighting.section else { continue };
                 if let Some((middle, sigma)) = self.middle_of(&section, sighting.half_width_px, search_px) {
-                    self.push(sighting.gradient, middle, sigma, 1.0);
+                    self.push(sighting.gradient, middle, sigma, 1.0, model.straight_along.map(|_| side));
                 }
             }
         }
@@ -304,7 +332,7 @@ impl Refine {
         for k in 0..self.ends.len() {
             for side in 0..2 {
                 if let Some(EndSighting { beyond_px: Some(beyond), gradient, .. }) = self.ends[k][side] {
-                    self.push(gradient, beyond, self.params.end_sigma_px, END_PATIENCE);
+                    self.push(gradient, beyond, self.params.end_sigma_px, END_PATIENCE, None);
                 }
             }
         }
@@ -333,9 +361,16 @@ impl Refine {
         Some((middle, 4.0 * section_sigma_px))
     }
 
-    fn push(&mut self, gradient: Vector6<f64>, residual: f64, sigma: f64, patience: f64) {
+    fn push(
+        &mut self,
+        gradient: Vector6<f64>,
+        residual: f64,
+        sigma: f64,
+        patience: f64,
+        shaded: Option<usize>,
+    ) {
         if self.observations.len() < OBSERVATIONS_MAX {
-            self.observations.push(Observation { residual, gradient, sigma, patience });
+            self.observations.push(Observation { residual, gradient, sigma, patience, shaded });
         }
     }
 
@@ -350,33 +385,35 @@ impl Refine {
         rounds: u32,
     ) -> Option<(Fit, Vector6<f64>)> {
         let along = model.straight_along.map(|a| pose.rotation * a);
-        let mut step = Vector6::<f64>::zeros();
-        let mut fit = None;
+        let mut unknowns = Unknowns::zeros();
+        let mut last = None;
         for round in 0..rounds {
             let progress = f64::from(round) / f64::from(rounds.max(2) - 1);
             let scale =
                 (scales_px[0] + (scales_px[1] - scales_px[0]) * progress) / self.params.section_sigma_px;
-            let (now, covariance, misfit, believed) = self.weigh(along.as_ref(), &step, scale)?;
-            step = now;
-            fit = Some((covariance, misfit, believed));
+            let weighed = self.weigh(along.as_ref(), &unknowns, scale)?;
+            unknowns = weighed.normal.solve(&weighed.right_side);
+            if !unknowns.iter().all(|v: &f64| v.is_finite()) {
+                return None;
+            }
+            last = Some(weighed);
         }
-        let (covariance, misfit, believed) = fit?;
+        let Weighed { normal, misfit, believed, .. } = last?;
+        let step: Vector6<f64> = unknowns.fixed_rows::<6>(0).into();
         *pose = moved(pose, &model.centre_mm, &step);
+        let covariance = normal.inverse().fixed_view::<6, 6>(0, 0).into();
         Some((Fit { left_from_part: *pose, covariance, misfit, believed }, step))
     }
 
-    /// The step that is best with the weights that the residuals after `step` earn.
-    fn weigh(
-        &self,
-        along: Option<&Vector3<f64>>,
-        step: &Vector6<f64>,
-        scale: f64,
-    ) -> Option<(Vector6<f64>, Matrix6<f64>, f64, usize)> {
-        let mut normal = Matrix6::zeros();
-        let mut right_side = Vector6::zeros();
+    /// The normal equations with the weights that the residuals after `unknowns` earn.
+    fn weigh(&self, along: Option<&Vector3<f64>>, unknowns: &Unknowns, scale: f64) -> Option<Weighed> {
+        let mut normal = Normal::zeros();
+        let mut right_side = Unknowns::zeros();
+        let step: Vector6<f64> = unknowns.fixed_rows::<6>(0).into();
         let (mut weights, mut squares, mut believed) = (0.0, 0.0, 0);
         for o in &self.observations {
-            let e = (o.residual - o.gradient.dot(step)) / o.sigma;
+            let offset = o.shaded.map_or(0.0, |side| unknowns[6 + side]);
+            let e = (o.residual - o.gradient.dot(&step) - offset) / o.sigma;
             let belief = 1.0 / (1.0 + (e / (scale * o.patience)).powi(2));
             let weight = belief * belief;
             let w = weight / (o.sigma * o.sigma);
@@ -388,6 +425,13 @@ impl Refine {
                     normal[(r, c)] += g[r] * gc;
                 }
                 right_side[c] += gc * o.residual;
+            }
+            if let Some(side) = o.shaded {
+                for c in 0..6 {
+                    normal[(6 + side, c)] += g[c] * w;
+                }
+                normal[(6 + side, 6 + side)] += w;
+                right_side[6 + side] += w * o.residual;
             }
             weights += weight;
             squares += weight * e * e;
@@ -407,10 +451,10 @@ impl Refine {
         for i in 0..6 {
             normal[(i, i)] += if i < 3 { 1.0 / 25.0 } else { 1.0 / 0.04 };
         }
-        let cholesky = normal.cholesky()?;
-        let step = cholesky.solve(&right_side);
-        let finite = step.iter().all(|v: &f64| v.is_finite());
-        finite.then(|| (step, cholesky.inverse(), (squares / weights).sqrt(), believed))
+        for i in 6..8 {
+            normal[(i, i)] += self.params.shading_sigma_px.powi(-2);
+        }
+        Some(Weighed { normal: normal.cholesky()?, right_side, misfit: (squares / weights).sqrt(), believed })
     }
 
     /// Where a station is expected in one picture, without looking: place and direction across.
@@ -465,6 +509,15 @@ fn end_is_bare(aim: &Aim, beyond: f64, view: &View) -> bool {
                 width < 2.4 * aim.half_width_px && middle.abs() < 0.5 * aim.half_width_px + 1.0
             })
     })
+}
+
+/// How far the mask goes on along a wire beyond its expected end.
+fn mask_beyond_px(mask: &BitImage, aim: &Aim) -> f64 {
+    let object = |k: u32| {
+        let at = aim.px + aim.along * f64::from(k);
+        mask.get(nearest(at.x), nearest(at.y))
+    };
+    f64::from((0..HIDDEN_PX_MAX).find(|&k| !object(k + 1)).unwrap_or(HIDDEN_PX_MAX))
 }
 
 /// `pose`, displaced and turned about the part's centre by a small twist in the left camera's axes.

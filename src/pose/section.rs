@@ -11,6 +11,8 @@ use crate::frame::LumaView;
 use crate::vision::bits::BitImage;
 
 const SAMPLES_MAX: usize = 96;
+/// How far behind an end it must be floor, in pixels.
+const BEHIND_END_PX: f64 = 4.0;
 /// How bright it may be behind an end, from floor (0) to wire (1).
 const BEHIND_END_MAX: f64 = 0.35;
 
@@ -120,7 +122,7 @@ impl<'a> Profiler<'a> {
         // One ray is a quick look.
         let samples_per_px = if rays.len() > 1 { 2.0 } else { 1.0 };
         let inside_px = (3.0 * half_width_px).max(search_px + 2.0);
-        let outside_px = search_px + 4.5;
+        let outside_px = search_px + BEHIND_END_PX + 0.5;
         let count = (((inside_px + outside_px) * samples_per_px) as usize + 1).min(SAMPLES_MAX);
         let side = Vector2::new(-outward.y, outward.x) * half_width_px;
         let mut profile = [0.0; SAMPLES_MAX];
@@ -143,7 +145,7 @@ impl<'a> Profiler<'a> {
         let f = (profile[i - 1] - at) / (profile[i - 1] - profile[i]);
         // Behind an end is floor; a dark seam with another wire behind it is none.
         let behind = (i + (1.0 * samples_per_px) as usize).min(count)
-            ..(i + (4.0 * samples_per_px) as usize).min(count);
+            ..(i + (BEHIND_END_PX * samples_per_px) as usize).min(count);
         let bright = floor + BEHIND_END_MAX * (level - floor);
         if profile[behind].iter().any(|&v| v > bright) {
             return None;

@@ -4,6 +4,7 @@ use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 
 use super::model::PoseModel;
 use super::refine::{Refine, Sighting, View};
+use crate::matching::fitness::Terms;
 
 /// What one picture shows of one piece of the part.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -53,8 +54,25 @@ pub struct Verdict {
     pub end_offset_px: f64,
     /// Sum of the distances of all seen ends from the expected ones, in pixels.
     pub ends_off_px: f64,
+    /// Sum over hidden ends of how far the mask goes on beyond them, in pixels.
+    pub hidden_px: f64,
     /// Root mean square distance of the seen middles from the expected ones, in pixels.
     pub offset_px: f64,
+}
+
+impl Verdict {
+    /// The terms of the fitness of the fitted part. Its length in space is the model's own; lengths in the pictures
+    /// are judged by the ends, gaps by the middles of the wire.
+    pub fn terms(&self, nodes_unseen: usize) -> Terms {
+        Terms {
+            length_3d_mm: 0.0,
+            length_2d_px: self.ends_off_px / f64::from(self.ends_seen.max(1)),
+            missing: (self.missing[0] + self.missing[1]) / 2.0,
+            gap_px: if self.offset_px.is_finite() { self.offset_px } else { 0.0 },
+            unmatched: nodes_unseen as f64,
+            contradictions: 0.0,
+        }
+    }
 }
 
 /// A place where the part's wire stops or turns away, and the direction in which it would have gone on.
@@ -67,7 +85,7 @@ pub struct Stop {
 }
 
 /// How far onward is looked, in thicknesses.
-const ONWARD_THICKNESSES: [f64; 5] = [1.5, 2.5, 3.5, 4.5, 5.5];
+const ONWARD_THICKNESSES: [f64; 6] = [0.75, 1.5, 2.5, 3.5, 4.5, 5.5];
 
 /// Judges the pose that `refine` has just found from what it has seen in both pictures.
 pub fn verify(
@@ -136,6 +154,7 @@ fn sight_of(sighting: &Sighting) -> (Sight, Option<f64>) {
 fn judge_ends(refine: &Refine, verdict: &mut Verdict) {
     (verdict.ends_seen, verdict.end_offset_px, verdict.ends_off_px) = (0, 0.0, 0.0);
     let mut largest: f64 = 0.0;
+    verdict.hidden_px = refine.ends().iter().flatten().flatten().map(|e| e.mask_beyond_px).sum();
     for beyond in refine.ends().iter().flatten().flatten().filter_map(|e| e.beyond_px) {
         verdict.ends_seen += 1;
         verdict.ends_off_px += beyond.abs();
@@ -144,7 +163,7 @@ fn judge_ends(refine: &Refine, verdict: &mut Verdict) {
     }
 }
 
-/// How far clean wire goes on beyond a stop, in both pictures.
+/// How far clean wire goes on beyond a stop, the mean of both pictures.
 fn overrun_mm(
     refine: &Refine,
     model: &PoseModel,
@@ -162,6 +181,7 @@ fn overrun_mm(
             })
         })
     };
-    let reached = ONWARD_THICKNESSES.iter().filter(|&&b| views.iter().all(|view| clean(b, view))).count();
-    reached as f64 * 2.0 * model.radius_mm
+    let reached: usize =
+        views.iter().map(|view| ONWARD_THICKNESSES.iter().filter(|&&b| clean(b, view)).count()).sum();
+    reached as f64 * model.radius_mm
 }

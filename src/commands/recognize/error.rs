@@ -26,12 +26,6 @@ pub enum RecognizeError {
     /// Colour range or region.
     #[error(transparent)]
     Params(#[from] ParamsError),
-    /// A search that cannot be run.
-    #[error("the search {search:?} cannot be run here; take auto or exhaustive")]
-    NoSuchSearch {
-        /// Which.
-        search: crate::config::SearchMethod,
-    },
     /// No pictures were named.
     #[error("no pictures: give --left and --right, or --pairs with a folder of pairs")]
     NoPictures,

@@ -2,7 +2,7 @@
 
 mod args;
 mod error;
-mod output;
+pub(super) mod output;
 mod setup;
 
 use std::fs;

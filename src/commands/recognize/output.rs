@@ -11,7 +11,7 @@ use crate::recognize::{FoundPart, Recognition, Seen, StageTimes};
 
 /// One pair's result, as it is printed and written to results.json.
 #[derive(Serialize)]
-pub(super) struct PairResult<'a> {
+pub(in crate::commands) struct PairResult<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     pair: Option<&'a str>,
     parts: Vec<PartResult<'a>>,
@@ -124,7 +124,7 @@ impl Time {
 
 impl<'a> PairResult<'a> {
     /// `frame` is where grasps are given: `left` or `base`. `runs` holds the times of every repetition.
-    pub(super) fn new(
+    pub(in crate::commands) fn new(
         pair: Option<&'a str>,
         found: &Recognition,
         parts: &'a [Part],
@@ -144,7 +144,7 @@ impl<'a> PairResult<'a> {
     }
 
     /// One line.
-    pub(super) fn to_json(&self) -> String {
+    pub(in crate::commands) fn to_json(&self) -> String {
         to_json(self)
     }
 

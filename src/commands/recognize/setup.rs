@@ -63,11 +63,6 @@ impl Setup {
             // clap asks for both where there is no cell
             return Err(RecognizeError::NoPictures);
         };
-        let search =
-            args.search.map(SearchMethod::from).or(cell.map(|c| c.recognition.search)).unwrap_or_default();
-        if !matches!(search, SearchMethod::Auto | SearchMethod::Exhaustive) {
-            return Err(RecognizeError::NoSuchSearch { search });
-        }
         let rig = Rig::read(calibration)?;
         let parts = Part::read_all(parts)?;
         let (pairs, many) = pictures(args, cell)?;
@@ -130,10 +125,11 @@ fn params(args: &RecognizeArgs, cell: Option<&Cell>) -> Params {
     if let Some(thin) = args.thin {
         params.thin.algorithm = thin.into();
     }
-    let gate = args.gate.map(Gate::from).or(cell.map(|c| c.recognition.gate)).unwrap_or_default();
-    if gate == Gate::None {
-        params.gate.gap_px_max = f64::INFINITY;
-        params.gate.junction_gap_px_max = f64::INFINITY;
+    if let Some(search) = args.search {
+        params.search.method = SearchMethod::from(search).into();
+    }
+    if let Some(gate) = args.gate {
+        params.gate.mode = Gate::from(gate).into();
     }
     params
 }
