@@ -38,11 +38,11 @@ impl Default for Params {
     fn default() -> Self {
         Self {
             seen_min: 0.4,
-            missing_max: 0.06,
+            missing_max: 0.08,
             overrun_mm_max: 8.0,
             offset_px_max: 0.9,
             end_offset_px_max: 2.5,
-            seen_end_mm: 2.0,
+            seen_end_mm: 4.0,
             misfit_mm: 15.0,
             hidden_weight: 0.5,
             against: 3.0,
