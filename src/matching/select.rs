@@ -42,9 +42,9 @@ impl Default for Params {
             overrun_mm_max: 8.0,
             offset_px_max: 0.9,
             end_offset_px_max: 2.5,
-            seen_end_mm: 4.0,
+            seen_end_mm: 2.0,
             misfit_mm: 15.0,
-            hidden_weight: 0.5,
+            hidden_weight: 0.25,
             against: 3.0,
         }
     }
