@@ -290,7 +290,7 @@ impl Recognizer {
     /// Where the colour range or the region cannot be used.
     pub fn new(params: Params, rig: Rig, parts: Vec<Part>) -> Result<Self, binarize::ParamsError> {
         let [left, right] = params.binarize.clone();
-        let picture = |b, camera: &crate::rig::CameraModel| Picture::new(b, &params, camera.clone());
+        let picture = |b, camera: &crate::rig::CameraModel| Picture::new(b, &params, *camera);
         let pictures = [picture(left, &rig.left)?, picture(right, &rig.right)?];
         let claims = [&rig.left, &rig.right].map(|c| ClaimMap::new(c.width, c.height));
         let parts: Vec<Prepared> = parts.into_iter().map(Prepared::new).collect();

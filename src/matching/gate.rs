@@ -132,7 +132,7 @@ impl Gate {
             for j in 0..right.len() {
                 let gap_px = self.gaps_px[j] as f64;
                 // the comparison also refuses what is not a number
-                if !(gap_px <= widest) {
+                if gap_px.is_nan() || gap_px > widest {
                     continue;
                 }
                 let Some((node, z_mm)) = stereo_node(&self.params, &geometry, [left, right], i, j, gap_px)

@@ -182,10 +182,10 @@ impl ImageNodes {
                 i += 1;
             }
             let middle = ((sum / weight).round() as usize).clamp(arm, chain.len() - 1 - arm);
-            if let Some(corner) = corner_of(chain, middle, arm) {
-                if self.bends.len() < self.bends.capacity() {
-                    self.bends.push((middle, corner));
-                }
+            if let Some(corner) = corner_of(chain, middle, arm)
+                && self.bends.len() < self.bends.capacity()
+            {
+                self.bends.push((middle, corner));
             }
             i += arm;
         }

@@ -139,10 +139,11 @@ fn sight_of(sighting: &Sighting) -> (Sight, Option<f64>) {
     let near = 0.35 * half + 0.4;
     let section = sighting.section.unwrap_or_default();
     let both = section.middle_and_width();
-    if let Some((middle, width)) = both {
-        if (0.5..1.25).contains(&(width / (2.0 * half))) && middle.abs() < near {
-            return (Sight::Clear, Some(middle));
-        }
+    if let Some((middle, width)) = both
+        && (0.5..1.25).contains(&(width / (2.0 * half)))
+        && middle.abs() < near
+    {
+        return (Sight::Clear, Some(middle));
     }
     if !sighting.object && both.is_none_or(|(m, _)| m.abs() > near + 0.5 * half) {
         return (Sight::Missing, None);
