@@ -2,27 +2,31 @@
 //!
 //! Nothing is kept from one pair to the next. After the first pairs nothing is allocated, except by the JPEG decoder.
 
+mod prepared;
+mod result;
+
 use arrayvec::ArrayVec;
-use nalgebra::{Isometry3, Matrix3, Point3, Vector2, Vector3};
+use nalgebra::{Isometry3, Matrix3, Vector2, Vector3};
 
 use crate::frame::{FramePair, LumaView};
-use crate::grasp::{self, Blocked, Grasp, Placed};
+use crate::grasp::{self, Blocked, Placed};
 use crate::matching::fitness::{Judge, UNMATCHED, Weights};
 use crate::matching::gate::GateParams;
 use crate::matching::hypotheses::{self, Hypothesis, SingleParams};
 use crate::matching::nodes::{self, NodeRole};
-use crate::matching::problem::MatchModel;
 use crate::matching::search::{self, Search};
 use crate::matching::select::{self, ClaimMap};
 use crate::part::{NODES_MAX, Part};
 use crate::picture::Picture;
-use crate::pose::model::PoseModel;
 use crate::pose::refine::{self, Fit, Refine, View};
 use crate::pose::section::Profiler;
-use crate::pose::verify::{Stop, Verdict, verify};
+use crate::pose::verify::{Verdict, verify};
 use crate::rig::Rig;
 use crate::time::{Budget, Timestamp};
 use crate::vision::{binarize, graph, thin};
+
+use prepared::Prepared;
+pub use result::{FoundNode, FoundPart, NoPick, Recognition, Refusal, Seen, Side, StageTimes};
 
 /// What recognition is told.
 #[derive(Clone, Debug, PartialEq)]
@@ -70,188 +74,6 @@ impl Default for Params {
             grasp: Default::default(),
         }
     }
-}
-
-/// Why a pair was not recognised at all.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum Refusal {
-    /// A picture's size is not the calibration's.
-    #[error(
-        "{side} picture is {width}x{height}, the calibration is for {rig_width}x{rig_height}: set the camera's size or calibrate again"
-    )]
-    Size {
-        /// `left` or `right`.
-        side: Side,
-        /// Picture width.
-        width: usize,
-        /// Picture height.
-        height: usize,
-        /// The calibration's.
-        rig_width: usize,
-        /// The calibration's.
-        rig_height: usize,
-    },
-    /// A compressed picture that cannot be decoded.
-    #[error("{side} picture cannot be decoded: damaged, cut short or of another size")]
-    Damaged {
-        /// `left` or `right`.
-        side: Side,
-    },
-    /// The frame's bytes are not those of its format and size.
-    #[error("{side} picture: {reason}")]
-    Binarize {
-        /// `left` or `right`.
-        side: Side,
-        /// Why.
-        reason: binarize::Refusal,
-    },
-    /// The picture is white all over, so that no threshold can be found: not an empty bin, a blinded camera.
-    #[error(
-        "{side} picture is white all over: less light, a shorter exposure, or a colour range in place of auto"
-    )]
-    White {
-        /// `left` or `right`.
-        side: Side,
-    },
-    /// The picture shows too much.
-    #[error("{side} picture: {reason}")]
-    Graph {
-        /// `left` or `right`.
-        side: Side,
-        /// Why.
-        reason: graph::Refusal,
-    },
-}
-
-/// One of the two cameras.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Side {
-    /// The left one.
-    Left,
-    /// The right one.
-    Right,
-}
-
-impl std::fmt::Display for Side {
-    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
-        f.write_str(if *self == Side::Left { "left" } else { "right" })
-    }
-}
-
-/// Why a pair gives no pick.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
-pub enum NoPick {
-    /// Nothing but floor.
-    #[error("bin empty")]
-    BinEmpty,
-    /// Something lies there, but no part was recognised.
-    #[error("nothing recognised")]
-    NothingRecognised,
-    /// Parts were recognised, none can be taken.
-    #[error("all blocked")]
-    AllBlocked,
-    /// The budget was spent before anything was found.
-    #[error("out of time")]
-    OutOfTime,
-}
-
-/// Which pictures show a node of a part.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Seen {
-    /// Both.
-    Both,
-    /// Only the left one.
-    Left,
-    /// Only the right one.
-    Right,
-    /// None: its place follows from the fitted model.
-    None,
-}
-
-/// A node of a recognised part.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FoundNode {
-    /// Place in the left camera's frame.
-    pub left_mm: Point3<f64>,
-    /// Its projection into the left picture (distorted pixels).
-    pub left_px: Vector2<f64>,
-    /// Its projection into the right picture.
-    pub right_px: Vector2<f64>,
-    /// Where an image node was found for it.
-    pub seen: Seen,
-}
-
-/// A recognised part.
-#[derive(Clone, Debug, PartialEq)]
-pub struct FoundPart {
-    /// Index of the part.
-    pub part: usize,
-    /// Fitness of the fitted part, in the terms and weights of a match, see [`crate::matching::fitness`].
-    pub fitness: f64,
-    /// From the part's frame to the left camera's.
-    pub left_from_part: Isometry3<f64>,
-    /// Its nodes, in the part file's order.
-    pub nodes: ArrayVec<FoundNode, NODES_MAX>,
-    /// How to take it.
-    pub grasp: Grasp,
-    /// Standard deviation of the grasp's position along the axes of its frame, mm.
-    pub sigma_mm: Vector3<f64>,
-    /// Standard deviation of the wire's direction at the grasp, radians.
-    pub sigma_axis_rad: f64,
-    /// Why it cannot be taken.
-    pub blocked: Option<Blocked>,
-    /// Iterations of the search that found it.
-    pub iterations: u64,
-    /// Share of its length that is seen with both outlines, the lesser of both pictures.
-    pub clear: f64,
-}
-
-/// Wall time of each stage in nanoseconds, both pictures together.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct StageTimes {
-    /// Decompression.
-    pub decode_ns: u64,
-    /// Pixels to bits.
-    pub binarize_ns: u64,
-    /// Bits to skeletons.
-    pub thin_ns: u64,
-    /// Skeletons to graphs and nodes.
-    pub graph_ns: u64,
-    /// Search.
-    pub match_ns: u64,
-    /// Refinement, competition and grasps.
-    pub pose_ns: u64,
-    /// All of it.
-    pub total_ns: u64,
-}
-
-/// What a pair shows.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Recognition {
-    /// The parts, those that can be taken first, best first.
-    pub parts: Vec<FoundPart>,
-    /// Why nothing can be taken; `None` where something can.
-    pub no_pick: Option<NoPick>,
-    /// Nodes of the left picture's graph.
-    pub nodes_left: usize,
-    /// Nodes of the right picture's graph.
-    pub nodes_right: usize,
-    /// The random seed that was used.
-    pub seed: u64,
-    /// Iterations of all searches.
-    pub iterations: u64,
-    /// Whether the budget was spent before the search was through.
-    pub out_of_time: bool,
-    /// How long each stage took.
-    pub stages: StageTimes,
-}
-
-/// A part and all that is worked out of it beforehand.
-struct Prepared {
-    part: Part,
-    pose_model: PoseModel,
-    match_model: MatchModel,
-    stops: Vec<Stop>,
 }
 
 /// An explanation of some wire: a refined hypothesis.
@@ -702,69 +524,4 @@ fn sigmas(params: &grasp::Params, prepared: &Prepared, fit: &Fit) -> (Vector3<f6
     // Measurements that agree worse than assumed are worth less.
     let scale = SIGMA_SCALE * fit.misfit.max(1.0);
     (turned.diagonal().map(|v| v.max(0.0).sqrt()), (axis.trace() / 2.0).max(0.0).sqrt() * scale)
-}
-
-impl Prepared {
-    fn new(part: Part) -> Self {
-        let pose_model = PoseModel::new(&part);
-        let match_model = MatchModel::new(&part);
-        let stops = stops_of(&match_model);
-        Self { part, pose_model, match_model, stops }
-    }
-
-    fn placed<'a>(&'a self, left_from_part: &'a Isometry3<f64>, sigma_mm: f64) -> Placed<'a> {
-        Placed { part: &self.part, model: &self.pose_model, left_from_part, sigma_mm }
-    }
-
-    /// Sine of the steepest slope of its straight pieces.
-    fn slope_sin(&self, left_from_part: &Isometry3<f64>, down: &Vector3<f64>) -> f64 {
-        let slope = |leg: &(Vector3<f64>, f64)| (left_from_part * leg.0).dot(down).abs();
-        self.match_model.anchors.iter().flat_map(|a| a.legs.iter().map(slope)).fold(0.0, f64::max)
-    }
-
-    /// Whether an explanation of this part lies near a pose: nearer than the first distance in mm, or the second
-    /// where nothing speaks against the explanation.
-    fn is_among(
-        &self,
-        explanations: &[Explanation],
-        hypothesis: &Hypothesis,
-        pose: &Isometry3<f64>,
-        near_mm: [f64; 2],
-    ) -> bool {
-        explanations.iter().any(|e| {
-            e.hypothesis.part == hypothesis.part && {
-                let near_mm = near_mm[select::is_sound(&e.fit, &e.verdict) as usize];
-                self.distance_mm(&e.fit.left_from_part, pose) < near_mm
-            }
-        })
-    }
-
-    /// Mean distance of the part's nodes and bends between two poses, under the symmetry that makes it least.
-    fn distance_mm(&self, a: &Isometry3<f64>, b: &Isometry3<f64>) -> f64 {
-        let anchors = &self.match_model.anchors;
-        let mean = |turn: &Isometry3<f64>| {
-            let b = b * turn;
-            anchors.iter().map(|p| (a * p.position_mm - b * p.position_mm).norm()).sum::<f64>()
-                / anchors.len() as f64
-        };
-        self.part
-            .symmetries
-            .iter()
-            .map(|s| mean(&s.part_from_part))
-            .fold(mean(&Isometry3::identity()), f64::min)
-    }
-}
-
-/// Where the wire of a part stops or turns away.
-fn stops_of(model: &MatchModel) -> Vec<Stop> {
-    let mut stops = Vec::new();
-    for anchor in &model.anchors {
-        for (leg, _) in &anchor.legs {
-            let goes_on = anchor.legs.iter().any(|(other, _)| other.dot(leg) < -0.9);
-            if !goes_on {
-                stops.push(Stop { position_mm: anchor.position_mm, onward: -leg });
-            }
-        }
-    }
-    stops
 }

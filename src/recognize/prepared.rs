@@ -1,0 +1,85 @@
+//! A part with all that recognition works out of it beforehand.
+
+use nalgebra::{Isometry3, Vector3};
+
+use super::Explanation;
+use crate::grasp::Placed;
+use crate::matching::hypotheses::Hypothesis;
+use crate::matching::problem::MatchModel;
+use crate::matching::select;
+use crate::part::Part;
+use crate::pose::model::PoseModel;
+use crate::pose::verify::Stop;
+
+/// A part and all that is worked out of it beforehand.
+pub(super) struct Prepared {
+    pub(super) part: Part,
+    pub(super) pose_model: PoseModel,
+    pub(super) match_model: MatchModel,
+    pub(super) stops: Vec<Stop>,
+}
+
+impl Prepared {
+    pub(super) fn new(part: Part) -> Self {
+        let pose_model = PoseModel::new(&part);
+        let match_model = MatchModel::new(&part);
+        let stops = stops_of(&match_model);
+        Self { part, pose_model, match_model, stops }
+    }
+
+    pub(super) fn placed<'a>(&'a self, left_from_part: &'a Isometry3<f64>, sigma_mm: f64) -> Placed<'a> {
+        Placed { part: &self.part, model: &self.pose_model, left_from_part, sigma_mm }
+    }
+
+    /// Sine of the steepest slope of its straight pieces.
+    pub(super) fn slope_sin(&self, left_from_part: &Isometry3<f64>, down: &Vector3<f64>) -> f64 {
+        let slope = |leg: &(Vector3<f64>, f64)| (left_from_part * leg.0).dot(down).abs();
+        self.match_model.anchors.iter().flat_map(|a| a.legs.iter().map(slope)).fold(0.0, f64::max)
+    }
+
+    /// Whether an explanation of this part lies near a pose: nearer than the first distance in mm, or the second
+    /// where nothing speaks against the explanation.
+    pub(super) fn is_among(
+        &self,
+        explanations: &[Explanation],
+        hypothesis: &Hypothesis,
+        pose: &Isometry3<f64>,
+        near_mm: [f64; 2],
+    ) -> bool {
+        explanations.iter().any(|e| {
+            e.hypothesis.part == hypothesis.part && {
+                let near_mm = near_mm[select::is_sound(&e.fit, &e.verdict) as usize];
+                self.distance_mm(&e.fit.left_from_part, pose) < near_mm
+            }
+        })
+    }
+
+    /// Mean distance of the part's nodes and bends between two poses, under the symmetry that makes it least.
+    pub(super) fn distance_mm(&self, a: &Isometry3<f64>, b: &Isometry3<f64>) -> f64 {
+        let anchors = &self.match_model.anchors;
+        let mean = |turn: &Isometry3<f64>| {
+            let b = b * turn;
+            anchors.iter().map(|p| (a * p.position_mm - b * p.position_mm).norm()).sum::<f64>()
+                / anchors.len() as f64
+        };
+        self.part
+            .symmetries
+            .iter()
+            .map(|s| mean(&s.part_from_part))
+            .fold(mean(&Isometry3::identity()), f64::min)
+    }
+}
+
+/// Where the wire of a part stops or turns away.
+fn stops_of(model: &MatchModel) -> Vec<Stop> {
+    let mut stops = Vec::new();
+    for anchor in &model.anchors {
+        for (leg, _) in &anchor.legs {
+            let goes_on = anchor.legs.iter().any(|(other, _)| other.dot(leg) < -0.9);
+            if !goes_on {
+                stops.push(Stop { position_mm: anchor.position_mm, onward: -leg });
+            }
+        }
+    }
+    stops
+}
