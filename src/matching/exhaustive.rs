@@ -2,7 +2,7 @@
 //!
 //! Depth first over the anchors of the model. Every anchor has a domain: the candidates that it may still be. Matching
 //! an anchor takes out of all other domains what is not at the model's distance from it (a row of bits out of
-//! [`rows`](super::rows) for the first node, a look at the few that are left for all others), so a pair of the wrong
+//! [`rows`] for the first node, a look at the few that are left for all others), so a pair of the wrong
 //! length is never visited. Next comes the anchor with the fewest candidates among those that a span joins to a
 //! matched one; it is matched with each of them in turn, then left out, as long as enough remain ([`MatchModel::required`](super::problem::MatchModel::required)). What lengths, gaps, background and
 //! left-out anchors cost already bounds the fitness from below; a span's pixels are read when its second end is

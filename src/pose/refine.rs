@@ -116,7 +116,7 @@ pub struct EndSighting {
     pub expected_px: Vector2<f64>,
     /// Unit vector out of the part.
     pub outward: Vector2<f64>,
-    /// Length of mask from the expected place outwards where the end is hidden, up to [`HIDDEN_PX_MAX`].
+    /// Length of mask from the expected place outwards where the end is hidden, up to 12.
     pub mask_beyond_px: f64,
     gradient: Vector6<f64>,
 }

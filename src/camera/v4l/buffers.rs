@@ -1,7 +1,7 @@
 //! The driver's buffers: mapped once, filled by the driver, lent, and queued again.
 //!
 //! Takes an open, configured device; gives filled buffers and their bytes; owns the mapped memory. The rest of the
-//! cameras' `unsafe` that is not in [`super::uapi`] is here.
+//! cameras' `unsafe` that is not in `uapi` is here.
 
 use std::ffi::c_void;
 use std::io;

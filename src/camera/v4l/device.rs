@@ -4,7 +4,7 @@
 //! buffers are in [`super::buffers`].
 //!
 //! The crate `v4l` opens and closes the node, lists formats, sizes and rates, and sets the format and the rate. The
-//! calls of [`super::uapi`] do what it does not:
+//! calls of `uapi` do what it does not:
 //! - Who it is: its `query_caps` panics where the camera's name is cut in the middle of a character.
 //! - Colours: its `Format` has no Y'CbCr encoding, and it panics at a colour space that it does not know.
 //! - Controls: its `query_controls` panics at types it does not know, its `control` reads no bitmasks and integer menus.
