@@ -103,8 +103,9 @@ pub struct Placed<'a> {
     pub sigma_mm: f64,
 }
 
-/// How far apart, in mm, the axes of two wires must be in height for one to lie on the other rather than beside it.
-const OVER_MM_MIN: f64 = 0.5;
+/// How far apart the axes of two wires must be in height, in sums of their radii, for one to lie on the other rather
+/// than beside it. Where they cross it is 1 or more, less the error of two depths.
+const OVER_MIN: f64 = 0.5;
 
 /// Direction straight down in the left camera's frame.
 pub fn down_in_left(params: &Params) -> Vector3<f64> {
@@ -200,9 +201,9 @@ pub fn lies_over(params: &Params, upper: &Placed, lower: &Placed) -> bool {
         lower.model.stations.iter().any(|l| {
             let apart = at - lower.left_from_part * l.position_mm;
             let height = -down.dot(&apart);
-            // Stations are samples: half a step along each wire belongs to them.
             let beside = (apart + down * height).norm();
-            height > OVER_MM_MIN && beside < reach + (u.length_mm + l.length_mm) / 4.0
+            // Stations lie nearer to each other than a thickness: no crossing falls between them.
+            height > OVER_MIN * reach && beside < reach
         })
     })
 }
