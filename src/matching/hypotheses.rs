@@ -7,7 +7,7 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::fitness::{Judge, StereoMatch, UNMATCHED};
-use super::nodes::{ImageNode, NodeRole};
+use super::nodes::ImageNode;
 use super::placement::{motion_of_directions, rigid_motion};
 use super::problem::{ANCHORS_MAX, Anchor, MatchModel, StereoNode, leg_direction};
 use crate::rig::Rig;
@@ -176,9 +176,4 @@ fn space_legs(
 /// The direction of a leg that lies at the depth of its node.
 fn level_direction(node: &StereoNode, leg: &super::nodes::Leg) -> Option<Vector3<f64>> {
     (leg.far_ray - leg.near_ray).push(0.0).scale(node.point_mm.z).try_normalize(1e-9)
-}
-
-/// Whether a node may be one that ends wire: not a bend.
-pub fn ends_wire(role: NodeRole) -> bool {
-    role != NodeRole::Bend
 }

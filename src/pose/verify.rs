@@ -42,8 +42,6 @@ pub struct Verdict {
     pub pieces: Vec<[PieceSight; 2]>,
     /// Share of the length with both outlines seen, left and right.
     pub clear: [f64; 2],
-    /// Share with at least one outline seen.
-    pub outlined: [f64; 2],
     /// Share of background where wire should be.
     pub missing: [f64; 2],
     /// How far wire of the same width goes straight on where the part ends or bends, in mm; the longest.
@@ -98,7 +96,7 @@ pub fn verify(
 ) {
     verdict.pieces.clear();
     let (mut squares, mut seen) = (0.0, 0.0);
-    let mut shares = [[0.0; 3]; 2];
+    let mut shares = [[0.0; 2]; 2];
     for (station, sightings) in model.stations.iter().zip(refine.sightings()) {
         let mut piece = [PieceSight::default(); 2];
         for side in 0..2 {
@@ -118,16 +116,14 @@ pub fn verify(
             }
             match piece[side].sight {
                 Sight::Clear => shares[side][0] += share,
-                Sight::OneSide => shares[side][1] += share,
-                Sight::Missing | Sight::Outside => shares[side][2] += share,
-                Sight::Crossed => {}
+                Sight::Missing | Sight::Outside => shares[side][1] += share,
+                Sight::OneSide | Sight::Crossed => {}
             }
         }
         verdict.pieces.push(piece);
     }
     verdict.clear = shares.map(|s| s[0]);
-    verdict.outlined = shares.map(|s| s[0] + s[1]);
-    verdict.missing = shares.map(|s| s[2]);
+    verdict.missing = shares.map(|s| s[1]);
     verdict.offset_px = if seen > 0.0 { f64::sqrt(squares / seen) } else { f64::INFINITY };
     verdict.overrun_mm = stops.iter().map(|s| overrun_mm(refine, model, s, pose, views)).fold(0.0, f64::max);
     judge_ends(refine, verdict);
