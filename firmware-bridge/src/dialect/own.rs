@@ -72,6 +72,7 @@ enum Phase {
     /// No port.
     Down,
     /// Saying hello every `handshake_timeout_ms`.
+    /// `sent_ns`: the oldest hello that a welcome may still answer; all of a session carry the same number.
     Shaking { next_ns: i64, sent_ns: Option<i64>, hellos: u32 },
     /// A session is open.
     Up,
@@ -268,10 +269,11 @@ impl Own {
         }
         match self.phase {
             Phase::Down => Transmit::default(),
-            Phase::Shaking { next_ns, hellos, .. } if next_ns <= now_ns => {
+            Phase::Shaking { next_ns, hellos, sent_ns } if next_ns <= now_ns => {
                 let next_ns = now_ns + self.timing.handshake_ns;
-                self.phase =
-                    Phase::Shaking { next_ns, sent_ns: Some(now_ns), hellos: hellos.saturating_add(1) };
+                let timeout_ns = i64::from(self.timing.heartbeat_timeout_ms) * MS;
+                let sent_ns = sent_ns.filter(|sent_ns| now_ns - sent_ns < timeout_ns).or(Some(now_ns));
+                self.phase = Phase::Shaking { next_ns, sent_ns, hellos: hellos.saturating_add(1) };
                 let heartbeat_timeout_ms = self.timing.heartbeat_timeout_ms;
                 let body = ToArmBody::Hello { session: self.session, heartbeat_timeout_ms };
                 Transmit { len: self.put(ToArm { sequence: 0, body }, out), urgent: false, pick: None }

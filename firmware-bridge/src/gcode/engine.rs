@@ -116,6 +116,8 @@ pub struct Driver<W> {
     delay_us: u32,
     not_before_ns: i64,
     pick_timeout_ns: i64,
+    /// One byte on the wire: ten bits.
+    byte_ns: i64,
     history: [Option<(u64, Outcome)>; HISTORY],
     history_next: usize,
 }
@@ -153,6 +155,7 @@ impl<W: Wire> Driver<W> {
             delay_us: 0,
             not_before_ns: i64::MIN,
             pick_timeout_ns: i64::from(settings.arm.pick_timeout_ms) * MS,
+            byte_ns: 10_000_000_000 / i64::from(settings.arm.baud),
             history: [None; HISTORY],
             history_next: 0,
         })
@@ -352,6 +355,8 @@ impl<W: Wire> Driver<W> {
     }
 
     fn forget_lines(&mut self) {
+        // A wait that was under way is over, too: nobody is to be woken for it.
+        self.stage = Stage::Lines;
         self.flight.clear();
         self.moved = false;
         self.deadline_ns = None;

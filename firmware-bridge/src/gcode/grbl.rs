@@ -105,6 +105,8 @@ pub struct GrblWire {
     /// `?` is to be sent; it was sent then.
     ask: bool,
     asked: Option<i64>,
+    /// The first `?` that no status has answered; one that comes late must not look as if it came fast.
+    asked_since: Option<i64>,
     /// The status that comes answers a `?` sent after the chore began.
     fresh: bool,
     next_ask: i64,
@@ -138,6 +140,7 @@ impl GrblWire {
         self.own_line = None;
         self.dirty = false;
         self.asked = None;
+        self.asked_since = None;
         self.locked = false;
         self.alarm = None;
         self.incoming.clear();
@@ -190,6 +193,7 @@ impl GrblWire {
         self.flights.clear();
         self.own_line = None;
         self.asked = None;
+        self.asked_since = None;
         self.offset_mm = None;
         self.dirty = false;
         self.locked = false;
@@ -265,8 +269,9 @@ impl GrblWire {
     }
 
     fn status(&mut self, status: &Status, text: &str, now: i64, events: &mut Events) {
-        if let Some(asked) = self.asked.take() {
-            events.push(Event::Heartbeat(u32::try_from((now - asked) / 2000).unwrap_or(u32::MAX)));
+        self.asked = None;
+        if let Some(since) = self.asked_since.take() {
+            events.push(Event::Heartbeat(u32::try_from((now - since) / 2000).unwrap_or(u32::MAX)));
         }
         self.offset_mm = status.offset_mm.or(self.offset_mm);
         if status.state == State::Alarm && self.alarm.is_none() {

@@ -15,7 +15,7 @@ mod wire;
 
 use super::engine::Driver;
 use super::line::{self, Assembler, LineBuf};
-use super::wire::{CODE_UNKNOWN_COMMAND, CODE_UNNUMBERED, Event, Events, MS, put};
+use super::wire::{CODE_UNANSWERED, CODE_UNKNOWN_COMMAND, CODE_UNNUMBERED, Event, Events, MS, put};
 use super::words::Kind;
 
 /// An arm with Marlin 2.
@@ -31,6 +31,9 @@ const ANSWER_WAITING: i64 = 5000 * MS;
 const MOVES_AHEAD: u32 = 6;
 /// While it moves the steps are asked for this often.
 const LOOK_AGAIN: i64 = 50 * MS;
+/// A first move waits 100 ms for others to come (`BLOCK_DELAY_FOR_1ST_MOVE` in planner.h): before that rest proves
+/// nothing.
+const FIRST_MOVE: i64 = 120 * MS;
 /// Homing says `busy` every two seconds.
 const ANSWER_HOME: i64 = 15_000 * MS;
 /// After `Resend:` the rest of the refused bytes, and the `ok` that some builds add, pass by.
@@ -104,9 +107,10 @@ struct Flight {
     fault: Option<u16>,
     /// It ends with more than an `ok`.
     asks: Option<Question>,
-    /// Not to be sent again after that; a question has taken its place.
+    /// Not to be sent again after that.
     expires_ns: Option<i64>,
-    replaced: bool,
+    /// How often a question was sent in its place since.
+    replaced: u32,
 }
 
 /// A question, whose answer comes before its `ok`.
@@ -142,10 +146,13 @@ pub struct MarlinWire {
     /// It was silent while moves were watched; if it turns out to be alive, M114 waits.
     silent_looking: bool,
     moves_ahead: u32,
+    /// When the newest move was acknowledged.
+    move_taken: i64,
     own_not_before: i64,
     next_poll: i64,
     polling: bool,
-    poll_sent: i64,
+    /// When the position that is asked for was first asked for.
+    asked_since: Option<i64>,
     foreign: bool,
     restarted: bool,
     dead: bool,
@@ -164,6 +171,7 @@ impl MarlinWire {
         self.flight = None;
         self.own_line = None;
         self.polling = false;
+        self.asked_since = None;
         self.steps = None;
         self.steps_before = None;
     }
@@ -225,7 +233,7 @@ impl MarlinWire {
             resend: None,
             fault: None,
             expires_ns: None,
-            replaced: false,
+            replaced: 0,
         };
         self.flight = Some(flight);
         Self::encode(&flight, out)
@@ -345,8 +353,9 @@ impl MarlinWire {
         let Some(flight) = &mut self.flight else { return };
         if number == flight.number.wrapping_add(1) {
             // It was taken; only its `ok` was lost, or the answer too: then it is asked again.
-            if flight.replaced {
-                let fault = flight.fault;
+            if flight.replaced > 0 {
+                // Asked once, the move has the number. Asked twice, it may also be the first question that has it.
+                let fault = if flight.replaced > 1 { Some(CODE_UNANSWERED) } else { flight.fault };
                 self.flight = None;
                 return events.push(fault.map_or(Event::LineDone, Event::LineFailed));
             }
@@ -388,15 +397,20 @@ impl MarlinWire {
             self.flight = Some(flight);
             return;
         }
-        if flight.replaced {
+        if flight.replaced > 0 {
             return events.push(Event::LineExpired);
         }
         if flight.kind.is_some() {
+            self.move_taken = now;
             return events.push(flight.fault.map_or(Event::LineDone, Event::LineFailed));
         }
+        if flight.asks == Some(Question::Position)
+            && let Some(since) = self.asked_since.take()
+        {
+            // From the first time it was asked: an answer to that one must not look faster than it is.
+            events.push(Event::Heartbeat(u32::try_from((now - since) / 2000).unwrap_or(u32::MAX)));
+        }
         if core::mem::take(&mut self.polling) {
-            let delay_us = u32::try_from((now - self.poll_sent) / 2000).unwrap_or(u32::MAX);
-            events.push(Event::Heartbeat(delay_us));
             if let Some(position_mm) = self.position_mm {
                 events.push(Event::Resting(position_mm));
             }

@@ -24,7 +24,7 @@ const ANSWER: i64 = 1500 * MS;
 const LOOK_AGAIN: i64 = 60 * MS;
 const AGREE_MM: f64 = 1.0;
 const STOP_AGAIN: i64 = 120 * MS;
-/// Statuses that do not come: the firmware knows no `?`.
+/// Statuses that do not come: a firmware that did not say its version knows no `?`.
 const DEAF_STATUSES: u8 = 3;
 const BANNER: i64 = 3000 * MS;
 const HEARTBEAT_MIN: i64 = 200 * MS;
@@ -103,9 +103,13 @@ pub struct UarmWire {
     urgent: Option<u8>,
     ask: bool,
     ask_sent: Option<i64>,
+    /// The first `?` that no status has answered; one that comes late must not look as if it came fast.
+    ask_since: Option<i64>,
     next_ask: i64,
     /// `?`, `!` and 0x18 are understood.
     realtime: bool,
+    /// The version says so; silence does not change it.
+    realtime_certain: bool,
     deaf_statuses: u8,
     heard: i64,
     last_pose_mm: Option<[f64; 3]>,
@@ -248,6 +252,7 @@ impl UarmWire {
     fn after_reset(&mut self, unlock: bool, now: i64) {
         self.dirty = false;
         self.alarm = None;
+        self.ask_since = None;
         self.look(LookFor::Settled { unlock }, now);
         self.own_not_before = now + LOOK_AGAIN;
         self.leave_alarm = true;
@@ -256,9 +261,11 @@ impl UarmWire {
     fn say_hello(&mut self, now: i64) {
         self.begin(Chore::Greet(now), now);
         self.realtime = true;
+        self.realtime_certain = false;
         self.deaf_statuses = 0;
         self.greeted_version = false;
         self.ask_sent = None;
+        self.ask_since = None;
         self.own("P2203", Asked::Version, now);
     }
 
@@ -280,13 +287,17 @@ impl UarmWire {
             Asked::Line(_) if ok => events.push(Event::LineDone),
             Asked::Line(_) => events.push(Event::LineFailed(code)),
             Asked::Version => {
-                let version = value.trim_start_matches(['V', 'v']);
-                self.realtime = !(version.starts_with('2') || version.starts_with('3'));
+                let major = line::leading_integer(value.trim_start_matches(['V', 'v']));
+                self.realtime = major.is_none_or(|(major, _)| major >= 4);
+                self.realtime_certain = major.is_some();
                 self.greeted_version = true;
                 self.look(LookFor::Greeting, now);
             }
             Asked::Moving => {
-                // Firmware 4 does not know the question, and does not need it.
+                if !ok {
+                    // Only firmware 4 does not know the question.
+                    self.realtime = true;
+                }
                 let moving = ok && value.contains("V1");
                 let (text, asked) = if moving { ("M2200", Asked::Moving) } else { ("P2220", Asked::Pose) };
                 self.own(text, asked, if moving { now + LOOK_AGAIN } else { now });
@@ -300,6 +311,11 @@ impl UarmWire {
                 self.chore = Chore::None;
                 // A firmware that does not know the question leaves the answer to the move itself.
                 events.push(Event::Reachable(!(ok && value.contains("V0")) && code != 22));
+            }
+            Asked::Stop if !ok => {
+                // It is no firmware 3: stop it as firmware 4 is stopped.
+                self.realtime = true;
+                self.urgent = Some(b'!');
             }
             // Firmware 3 was told to stop; the encoders say when it stands.
             Asked::Stop => self.own("P2220", Asked::Pose, now),
@@ -371,8 +387,9 @@ impl UarmWire {
     /// `Hold,MPos:…` as Grbl 0.9 writes it.
     fn status(&mut self, status: &str, now: i64, events: &mut Events) {
         self.deaf_statuses = 0;
-        if let Some(sent) = self.ask_sent.take() {
-            events.push(Event::Heartbeat(u32::try_from((now - sent) / 2000).unwrap_or(u32::MAX)));
+        self.ask_sent = None;
+        if let Some(since) = self.ask_since.take() {
+            events.push(Event::Heartbeat(u32::try_from((now - since) / 2000).unwrap_or(u32::MAX)));
         }
         let (state, rest) = status.split_once([',', '|']).unwrap_or((status, ""));
         if self.chore == Chore::Look(LookFor::Greeting) && matches!(state, "Run" | "Home" | "Hold") {

@@ -128,6 +128,8 @@ pub(crate) trait Wire: Sized {
     const CHECKS_REACH: bool;
     /// Waits are made here instead of being sent.
     const WAITS_HERE: bool;
+    /// From the last byte of a line to the begin of its motion, ms, besides the measured delay of the line.
+    const BEGIN_MS: u32;
 
     /// All memory.
     fn new(settings: &Settings) -> Self;

@@ -20,6 +20,9 @@ const BOOT_NS: i64 = 1200 * MS;
 /// Reading, parsing and executing one short command.
 const COMMAND_NS: i64 = 700_000;
 const BUSY_NS: i64 = 2000 * MS;
+/// `BLOCK_DELAY_FOR_1ST_MOVE`: the first of less than three moves waits for others.
+const FIRST_MOVE_NS: i64 = 100 * MS;
+const MOVES_WITHOUT_DELAY: usize = 3;
 const HOMING_NS: i64 = 4000 * MS;
 const BANNER: &str = "start\r\necho:Marlin 2.1.2.5\r\n\r\necho: Last Updated: 2024-12-01 | Author: (none, default config)\r\n\
                       echo: Free Memory: 5000  PlannerBufferBytes: 1200\r\n";
@@ -64,6 +67,8 @@ pub struct MarlinFirmware {
     closed: bool,
     holds_part: bool,
     restart_ns: Option<i64>,
+    /// When moves that were planned at rest begin.
+    first_move_ns: Option<i64>,
     out: VecDeque<u8>,
 }
 
@@ -90,6 +95,7 @@ impl MarlinFirmware {
             closed: false,
             holds_part: false,
             restart_ns: None,
+            first_move_ns: None,
             out: VecDeque::with_capacity(512),
         }
     }
@@ -135,7 +141,7 @@ impl MarlinFirmware {
             Busy::PlannerFull { .. } | Busy::Sync(_) => Some(self.busy_said_ns + BUSY_NS),
             _ => None,
         };
-        [busy, self.arm.next_ns(), self.restart_ns].into_iter().flatten().min()
+        [busy, self.arm.next_ns(), self.restart_ns, self.first_move_ns].into_iter().flatten().min()
     }
 
     /// The button. Somebody puts the arm back to its park position.
@@ -151,6 +157,7 @@ impl MarlinFirmware {
         self.last_number = 0;
         self.relative = false;
         self.restart_ns = None;
+        self.first_move_ns = None;
         self.busy = Busy::Boot(now_ns + BOOT_NS);
     }
 
@@ -179,6 +186,15 @@ impl MarlinFirmware {
         while self.step(now_ns) {
             self.arm.advance(now_ns);
         }
+        self.begin_first_move(now_ns);
+    }
+
+    fn begin_first_move(&mut self, now_ns: i64) {
+        let many = self.arm.blocks() >= MOVES_WITHOUT_DELAY;
+        if self.first_move_ns.is_some_and(|at| at <= now_ns || many) {
+            self.first_move_ns = None;
+            self.arm.start(now_ns);
+        }
     }
 
     fn step(&mut self, now_ns: i64) -> bool {
@@ -202,7 +218,9 @@ impl MarlinFirmware {
                 if self.restart_ns.is_none() {
                     self.restart_ns = self.noise.reset_after_ns().map(|after| now_ns + after);
                 }
-                self.arm.start(now_ns);
+                if !self.arm.is_moving() {
+                    self.first_move_ns.get_or_insert(now_ns + FIRST_MOVE_NS);
+                }
                 self.finish(now_ns);
             }
             Busy::Sync(dwell_ns) if self.arm.blocks() == 0 => self.busy = Busy::Until(now_ns + dwell_ns),
@@ -263,12 +281,14 @@ impl MarlinFirmware {
         match line.as_str() {
             _ if line.starts_with("M112") => {
                 self.arm.kill(now_ns);
+                self.first_move_ns = None;
                 self.say("Error:Printer halted. kill() called!\r\n//action:poweroff\r\n");
                 self.busy = Busy::Dead;
                 return;
             }
             _ if line.starts_with("M410") => {
                 self.arm.kill(now_ns);
+                self.first_move_ns = None;
                 // A move that waited for room is not planned any more.
                 if let Busy::PlannerFull { .. } = self.busy {
                     self.finish(now_ns);
@@ -324,6 +344,7 @@ impl MarlinFirmware {
             }
             ('G', 28) => {
                 self.arm.kill(now_ns);
+                self.first_move_ns = None;
                 self.busy = Busy::Homing(now_ns + HOMING_NS);
                 return;
             }

@@ -8,8 +8,8 @@ use super::{Driver, FLIGHT_MAX, Phase, Stage};
 use crate::dialect::Transmit;
 use crate::message::{Failure, HeldBy, Outcome, Pick, Refusal, Report, Waypoint};
 
-/// From the last byte of a line on the wire to the begin of its motion, ms, besides the measured delay.
-const BEGIN_MS: u32 = 15;
+/// Number, checksum and end that a wire puts around a line, bytes.
+const FRAME_LEN: usize = 16;
 
 #[allow(private_bounds)]
 impl<W: Wire> Driver<W> {
@@ -105,7 +105,7 @@ impl<W: Wire> Driver<W> {
         let begun = self.current.is_none_or(|current| current.begun);
         let checked = filled
             .ok_or(Refusal::NotFinite { at: Waypoint::Line })
-            .and_then(|filled| self.check_now(filled.point_mm, now_ns).map(|()| filled));
+            .and_then(|filled| self.check_now(filled.point_mm, filled.text.len(), now_ns).map(|()| filled));
         let filled = match checked {
             Ok(filled) => filled,
             Err(refusal) if !begun => {
@@ -142,7 +142,9 @@ impl<W: Wire> Driver<W> {
         if line.kind == Kind::Home {
             (self.expected_mm, self.seen_mm) = ([None; 3], [None; 3]);
         }
-        let expires_ns = begins.and(self.current).map(|current| self.expires_ns(&current.pick));
+        let expires_ns = begins.and(self.current).map(|current| {
+            self.expires_ns(&current.pick).saturating_sub(self.on_the_wire_ns(filled.text.len()))
+        });
         let about = About { kind: line.kind, dwell_ms: line.dwell_ms, expires_ns };
         let len = self.wire.send(&filled.text, about, now_ns, out);
         Transmit { len, urgent: false, pick: begins }
@@ -176,13 +178,18 @@ impl<W: Wire> Driver<W> {
     /// When the bytes that begin a pick must be on the wire: the arm does not look at the time, so what the line takes
     /// to it is taken off the time to live.
     fn expires_ns(&self, pick: &Pick) -> i64 {
-        let ttl_ms = pick.ttl_ms.saturating_sub(self.delay_us / 1000 + BEGIN_MS);
+        let ttl_ms = pick.ttl_ms.saturating_sub(self.delay_us.div_ceil(1000) + W::BEGIN_MS);
         pick.seen.earliest_ns().saturating_add(i64::from(ttl_ms) * MS)
     }
 
-    /// The last gate, immediately before the bytes of a line are made: its coordinates, and as long as the pick has
-    /// not begun also its time.
-    fn check_now(&self, point_mm: [Option<f64>; 3], now_ns: i64) -> Result<(), Refusal> {
+    /// How long a line of so many characters is on its way out of the port.
+    fn on_the_wire_ns(&self, len: usize) -> i64 {
+        (len + FRAME_LEN) as i64 * self.byte_ns
+    }
+
+    /// The last gate, immediately before the bytes of a line of `len` characters are made: its coordinates, and as
+    /// long as the pick has not begun also its time, as it will be when the last of them is on the wire.
+    fn check_now(&self, point_mm: [Option<f64>; 3], len: usize, now_ns: i64) -> Result<(), Refusal> {
         let Some(current) = &self.current else { return self.gate.check_box(Waypoint::Line, point_mm) };
         if !current.begun {
             let mut pick = current.pick;
@@ -190,7 +197,8 @@ impl<W: Wire> Driver<W> {
             if current.sent {
                 pick.deadline_ms = pick.ttl_ms;
             }
-            self.gate.check(&pick, now_ns, self.not_before_ns)?;
+            let written_ns = now_ns.saturating_add(self.on_the_wire_ns(len));
+            self.gate.check(&pick, written_ns, self.not_before_ns)?;
         }
         self.gate.check_line(&current.pick, point_mm)
     }

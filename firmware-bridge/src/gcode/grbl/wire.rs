@@ -10,6 +10,7 @@ impl Wire for GrblWire {
     const KNOWS_POSITION: bool = false;
     const CHECKS_REACH: bool = false;
     const WAITS_HERE: bool = false;
+    const BEGIN_MS: u32 = 15;
 
     fn new(settings: &Settings) -> Self {
         let arm = &settings.arm;
@@ -27,6 +28,7 @@ impl Wire for GrblWire {
             own_line: None,
             ask: false,
             asked: None,
+            asked_since: None,
             fresh: false,
             next_ask: 0,
             heard: 0,
@@ -57,6 +59,7 @@ impl Wire for GrblWire {
         self.urgent = None;
         self.ask = false;
         self.asked = None;
+        self.asked_since = None;
         self.unanswered = 0;
         self.foreign = false;
         self.alarm = None;
@@ -97,6 +100,7 @@ impl Wire for GrblWire {
                 if core::mem::take(&mut self.foreign) {
                     events.push(Event::WrongDialect);
                 }
+                self.asked_since = None;
                 // A limit alarm answers to nothing but a reset; nothing else is lost by one.
                 if self.unanswered.is_multiple_of(3) {
                     self.reset();
@@ -182,6 +186,7 @@ impl Wire for GrblWire {
         if core::mem::take(&mut self.ask) {
             put(out, &mut len, b"?");
             self.asked = Some(now);
+            self.asked_since.get_or_insert(now);
             // The answer to this one belongs to the chore under way.
             self.fresh = true;
             return (len, false);

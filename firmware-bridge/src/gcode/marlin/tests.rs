@@ -125,7 +125,10 @@ fn moves_are_numbered_one_by_one_and_stand_before_the_gripper() {
     // The acknowledgement of another line.
     assert_eq!(desk.hear("ok N6 P14 B3\r\n"), "");
     assert_eq!(desk.hear("ok\r\n"), "N8 G1 X10.000 Y20.000 Z5.000 F1500\\n");
-    assert_eq!(desk.hear("ok\r\n"), "N9 M114\\n");
+    // A first move waits 100 ms for others: rest would prove nothing yet.
+    assert_eq!(desk.hear("ok\r\n"), "");
+    assert_eq!(desk.wait(110), "");
+    assert_eq!(desk.wait(20), "N9 M114\\n");
     // While the steps change it is asked again; when they rest M400 and M114 confirm it.
     desk.hear(&at(1.0));
     assert_eq!(desk.wait(60), "N10 M114\\n");
@@ -164,6 +167,15 @@ fn a_first_move_that_got_lost_is_not_sent_again_when_it_is_stale() {
     desk.hear(&at(0.0));
     let told = desk.told();
     assert!(matches!(told[0], Report::Refused { id: 7, refusal: Refusal::Stale { .. } }), "{told:?}");
+    // The answer to the question is lost, too, and now the number is taken: by the question, or by the move.
+    let mut desk = Desk::new();
+    desk.make_ready();
+    desk.pick();
+    desk.now_ns += 600 * MS;
+    assert_eq!(desk.wait(2), "N6 M114\\n");
+    assert_eq!(desk.wait(250), "N6 M114\\n");
+    let sent = desk.hear("Error:Line Number is not Last Line Number+1, Last Line: 6\r\nResend: 7\r\nok\r\n");
+    assert_eq!(sent, "|\\nM410\\n");
     // It had taken it, and only its answer was lost: then it is under way.
     let mut desk = Desk::new();
     desk.make_ready();
@@ -257,4 +269,37 @@ fn a_restart_is_noticed_by_its_banner_or_by_its_numbers() {
     desk.pick();
     desk.hear("Error:Line Number is not Last Line Number+1, Last Line: 0\r\nResend: 1\r\n");
     assert_eq!(desk.told(), [Report::Lost { id: 7 }, Report::Disconnected { cause: Disconnect::Silent }]);
+}
+
+#[test]
+fn the_delay_of_the_line_is_known_before_the_first_pick_and_taken_off_its_time_to_live() {
+    // 40 ms each way and a move that begins 115 ms later: of 500 ms 345 are left, and the gate sees to them.
+    let mut desk = Desk::new();
+    desk.wait(2);
+    desk.hear("start\r\n");
+    desk.hear("ok\r\n");
+    desk.hear("FIRMWARE_NAME:Marlin 2.1.2\r\nok\r\n");
+    desk.wait(76);
+    desk.hear(&at(0.0));
+    desk.told();
+    desk.marlin.command(Command::Release, desk.now_ns).unwrap();
+    desk.wait(2);
+    desk.hear("ok\r\n");
+    desk.hear("ok\r\n");
+    desk.wait(76);
+    desk.hear(&at(0.0));
+    for _ in 0..3 {
+        desk.hear("ok\r\n");
+    }
+    assert_eq!(desk.told(), [Report::Ready { clear_of_view: false }]);
+    let line = desk.pick();
+    assert!(line.starts_with("N6 G0 X10.000"), "{line}");
+    // Damaged on its way; asked for again before that moment and after it.
+    let refused = "Error:checksum mismatch, Last Line: 5\r\nResend: 6\r\nok\r\n";
+    desk.hear(refused);
+    desk.now_ns += 220 * MS;
+    assert_eq!(desk.wait(26), line);
+    desk.hear(refused);
+    desk.now_ns += 100 * MS;
+    assert_eq!(desk.wait(26), "N6 M114\\n");
 }

@@ -14,6 +14,8 @@ impl Wire for MarlinWire {
     const KNOWS_POSITION: bool = false;
     const CHECKS_REACH: bool = false;
     const WAITS_HERE: bool = false;
+    /// `BLOCK_DELAY_FOR_1ST_MOVE`: a first move waits 100 ms for others to come (Marlin 2, planner.h).
+    const BEGIN_MS: u32 = 115;
 
     fn new(settings: &Settings) -> Self {
         let arm = &settings.arm;
@@ -35,10 +37,11 @@ impl Wire for MarlinWire {
             m114_waits: false,
             silent_looking: false,
             moves_ahead: 0,
+            move_taken: i64::MIN,
             own_not_before: 0,
             next_poll: 0,
             polling: false,
-            poll_sent: 0,
+            asked_since: None,
             foreign: false,
             restarted: false,
             dead: false,
@@ -152,7 +155,7 @@ impl Wire for MarlinWire {
                     // Under its number goes a question instead: is the number taken already, the move was.
                     flight.text = LineBuf::of("M114");
                     flight.asks = Some(Question::Position);
-                    flight.replaced = true;
+                    flight.replaced += 1;
                     self.answered = None;
                 }
                 return (Self::encode(flight, out), false);
@@ -163,7 +166,9 @@ impl Wire for MarlinWire {
             return (0, false);
         }
         let Some((line, kind)) = self.own_line.take() else { return (0, false) };
-        self.poll_sent = now;
+        if line.as_bytes() == b"M114" {
+            self.asked_since.get_or_insert(now);
+        }
         // After a look that found it at rest M400 has nothing to wait for.
         let question = matches!(line.as_bytes(), b"M114" | b"M400");
         let waits = if question { self.m114_waits } else { kind == Kind::Dwell };
@@ -204,6 +209,7 @@ impl Wire for MarlinWire {
         } else {
             self.begin(Chore::Sync(Asking::Look));
             self.own("M114", Kind::Modal);
+            self.own_not_before = self.move_taken.saturating_add(FIRST_MOVE);
         }
     }
 

@@ -204,3 +204,47 @@ fn firmware_3_is_asked_whether_it_moves_and_stopped_by_its_own_command() {
     desk.uarm.command(Command::Hold, desk.now_ns).unwrap();
     assert!(desk.wait(1).ends_with(" G2203\\n"));
 }
+
+#[test]
+fn lost_statuses_make_no_other_firmware_of_one_that_said_its_version() {
+    let mut desk = Desk::new();
+    desk.connect();
+    desk.state = None;
+    for _ in 0..10 {
+        desk.wait(400);
+        // It answers its questions, so the line is alive.
+        desk.hear("@3 X1 Y2 Z3 R4\n$999 ok\n");
+    }
+    desk.uarm.command(Command::Hold, desk.now_ns).unwrap();
+    assert!(desk.wait(1).contains("|!"));
+}
+
+#[test]
+fn a_firmware_that_does_not_know_the_stop_of_firmware_3_is_stopped_as_firmware_4() {
+    let mut desk = Desk::new();
+    desk.state = None;
+    desk.hear("@1\n");
+    let sent = desk.hear("$1 ok V3.2.0\n");
+    assert_eq!(sent, "#2 M2200\\n");
+    let sent = desk.hear("$2 ok V0\n");
+    desk.stand(sent, "X200.0000 Y0.0000 Z150.0000");
+    desk.uarm.command(Command::Hold, desk.now_ns).unwrap();
+    let sent = desk.wait(1);
+    let tag = sent.trim_start_matches('#').split(' ').next().unwrap();
+    assert_eq!(desk.hear(&format!("${tag} E20\n")), "|!");
+}
+
+#[test]
+fn a_session_that_ends_during_a_wait_wakes_nobody_for_it() {
+    let mut desk = Desk::new();
+    desk.begun();
+    for tag in 13..16 {
+        desk.hear(&format!("${tag} ok\n"));
+    }
+    desk.stand("#16 P2220\\n".into(), "X10.0000 Y20.0000 Z5.0000");
+    desk.hear("$18 ok\n");
+    desk.uarm.command(Command::Hello, desk.now_ns).unwrap();
+    desk.state = None;
+    desk.wait(1000);
+    assert!(desk.uarm.next_deadline_ns().is_some_and(|at| at > desk.now_ns));
+}

@@ -15,6 +15,7 @@ impl Wire for UarmWire {
     const KNOWS_POSITION: bool = true;
     const CHECKS_REACH: bool = true;
     const WAITS_HERE: bool = true;
+    const BEGIN_MS: u32 = 15;
 
     fn new(settings: &Settings) -> Self {
         let arm = &settings.arm;
@@ -32,8 +33,10 @@ impl Wire for UarmWire {
             urgent: None,
             ask: false,
             ask_sent: None,
+            ask_since: None,
             next_ask: 0,
             realtime: true,
+            realtime_certain: false,
             deaf_statuses: 0,
             heard: 0,
             last_pose_mm: None,
@@ -133,7 +136,8 @@ impl Wire for UarmWire {
                 if now - self.heard >= self.silence {
                     return events.push(Event::Silent);
                 }
-                if self.deaf_statuses >= DEAF_STATUSES && !self.dirty && self.flight.is_none() {
+                let deaf = self.deaf_statuses >= DEAF_STATUSES && !self.realtime_certain;
+                if deaf && !self.dirty && self.flight.is_none() {
                     self.realtime = false;
                 }
             }
@@ -187,6 +191,7 @@ impl Wire for UarmWire {
         if core::mem::take(&mut self.ask) {
             put(out, &mut len, b"?");
             self.ask_sent = Some(now);
+            self.ask_since.get_or_insert(now);
             return (len, false);
         }
         if self.flight.is_none()

@@ -77,7 +77,8 @@ fn m400_waits_and_says_busy() {
 #[test]
 fn m410_is_read_before_the_queue_and_m112_ends_everything() {
     let mut desk = Desk::new(MarlinFirmware::new([0.0; 3], Faults::default()));
-    desk.say("G1 X50 F600\n", 100);
+    // The move begins 100 ms after it was planned.
+    desk.say("G1 X50 F600\n", 200);
     desk.say("M400\n", 100);
     assert_eq!(desk.say("M410\n", 10), "ok\r\nok\r\n");
     let said = desk.say("M114\n", 10);
