@@ -16,6 +16,7 @@ pub mod harmony;
 pub mod hypotheses;
 pub mod improved;
 pub mod length_table;
+pub mod lines;
 pub mod nodes;
 pub mod open;
 pub mod placement;

@@ -116,6 +116,11 @@ impl ClaimMap {
         self.is_claimed_at(&piece.expected_px, &piece.across)
     }
 
+    /// Whether a place lies on claimed wire.
+    pub fn is_claimed_by_any(&self, px: &Vector2<f64>) -> bool {
+        self.cell(px.x, px.y).is_some_and(|cell| self.cells[cell] != 0)
+    }
+
     /// Whether a place lies on claimed wire of the direction that `across` is at right angles to.
     pub fn is_claimed_at(&self, px: &Vector2<f64>, across: &Vector2<f64>) -> bool {
         let Some(cell) = self.cell(px.x, px.y) else { return false };

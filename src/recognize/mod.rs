@@ -5,6 +5,8 @@
 mod prepared;
 mod result;
 
+use std::ops::Range;
+
 use arrayvec::ArrayVec;
 use nalgebra::{Isometry3, Matrix3, Vector2, Vector3};
 
@@ -13,6 +15,7 @@ use crate::grasp::{self, Blocked, Placed};
 use crate::matching::fitness::{Judge, UNMATCHED, Weights};
 use crate::matching::gate::GateParams;
 use crate::matching::hypotheses::{self, Hypothesis, SingleParams};
+use crate::matching::lines::{self, Lines};
 use crate::matching::nodes::{self, NodeRole};
 use crate::matching::search::{self, Search};
 use crate::matching::select::{self, ClaimMap};
@@ -23,6 +26,7 @@ use crate::pose::section::Profiler;
 use crate::pose::verify::{Verdict, verify};
 use crate::rig::Rig;
 use crate::time::{Budget, Timestamp};
+use crate::vision::ridge::{self, Ridges};
 use crate::vision::{binarize, graph, thin};
 
 use prepared::Prepared;
@@ -47,6 +51,10 @@ pub struct Params {
     pub search: search::Params,
     /// What single nodes need to hold a pose.
     pub single: SingleParams,
+    /// How wires that touch are told apart.
+    pub ridges: ridge::Params,
+    /// What straight wire in space needs to hold a pose.
+    pub lines: lines::Params,
     /// How poses are refined.
     pub refine: refine::Params,
     /// Steepest slope of a straight piece of wire against the level, radians.
@@ -68,6 +76,8 @@ impl Default for Params {
             weights: Default::default(),
             search: Default::default(),
             single: Default::default(),
+            ridges: Default::default(),
+            lines: Default::default(),
             refine: Default::default(),
             slope_rad_max: 50f64.to_radians(),
             select: Default::default(),
@@ -85,8 +95,8 @@ struct Explanation {
 }
 
 /// Most hypotheses and explanations of a pair.
-const HYPOTHESES_MAX: usize = 4096;
-const EXPLANATIONS_MAX: usize = 256;
+const HYPOTHESES_MAX: usize = 16384;
+const EXPLANATIONS_MAX: usize = 2048;
 const PARTS_MAX: usize = 128;
 
 /// The whole recognition with all its memory.
@@ -98,6 +108,8 @@ pub struct Recognizer {
     search: Search,
     pool: Vec<Hypothesis>,
     refine: Refine,
+    ridges: [Ridges; 2],
+    lines: Lines,
     explanations: Vec<Explanation>,
     explained: usize,
     claims: [ClaimMap; 2],
@@ -120,6 +132,11 @@ impl Recognizer {
             search: Search::new(params.search, params.gate, parts.len()),
             pool: Vec::with_capacity(HYPOTHESES_MAX),
             refine: Refine::new(lit(&params), &rig),
+            ridges: [&rig.left, &rig.right].map(|c| Ridges::new(params.ridges, c.width, c.height)),
+            lines: Lines::new(
+                lines::Params { depth_mm: params.gate.depth_mm, ..params.lines },
+                params.ridges.stretches_max,
+            ),
             explanations: Vec::with_capacity(EXPLANATIONS_MAX),
             explained: 0,
             claims,
@@ -169,7 +186,16 @@ impl Recognizer {
         let seen = Timestamp::now();
         self.search(budget, seed, out);
         let matched = Timestamp::now();
+        self.explained = 0;
+        self.claims.iter_mut().for_each(ClaimMap::clear);
+        for (taken, picture) in self.ends_taken.iter_mut().zip(&self.pictures) {
+            taken.clear();
+            taken.resize(picture.nodes().len(), false);
+        }
         self.explain(pair);
+        if self.search_ridges(pair) {
+            self.explain(pair);
+        }
         self.compete(out);
         self.grasp(out);
         out.no_pick = self.no_pick(out);
@@ -227,11 +253,46 @@ impl Recognizer {
         pool.sort_unstable_by(|a, b| a.fitness.total_cmp(&b.fitness));
     }
 
+    /// Fills the pool with rough poses that straight wire holds which nothing explains for certain; says whether there
+    /// are any.
+    fn search_ridges(&mut self, pair: &FramePair) -> bool {
+        let Self { pictures, rig, parts, pool, params, ridges, lines, claims, .. } = self;
+        pool.clear();
+        for (side, frame) in [&pair.left, &pair.right].into_iter().enumerate() {
+            let Some(luma) = LumaView::new(pictures[side].raw(frame)) else { return false };
+            let half = half_width_px(&pictures[side]);
+            let least = parts
+                .iter()
+                .map(|p| p.least_seen_radii(params.select.seen_min))
+                .fold(f64::INFINITY, f64::min);
+            let Some(area) = unexplained(&pictures[side], &claims[side], least * half) else { return false };
+            ridges[side].run(luma, pictures[side].mask(), area, params.binarize[side].inverted, half);
+        }
+        let down = grasp::down_in_left(&params.grasp);
+        let slope_sin_max = params.slope_rad_max.sin();
+        let [left, right] = [0, 1].map(|side: usize| {
+            let claims = &claims[side];
+            ridges[side].stretches().iter().filter(move |s| !is_claimed(claims, s))
+        });
+        lines.run(rig, [left, right], &down, slope_sin_max);
+        for (index, prepared) in parts.iter().enumerate() {
+            let judge = Judge {
+                rig,
+                masks: [pictures[0].mask(), pictures[1].mask()],
+                model: &prepared.match_model,
+                weights: params.weights,
+                length_tolerance_mm: params.search.length_tolerance_mm,
+            };
+            lines.hypotheses(index, &judge, pool);
+        }
+        pool.retain(|h| parts[h.part].slope_sin(&h.left_from_part, &down) <= slope_sin_max);
+        pool.sort_unstable_by(|a, b| a.fitness.total_cmp(&b.fitness));
+        !pool.is_empty()
+    }
+
     /// Refines and judges the hypotheses, each pose once. Wire and ends that a certain explanation has are not
     /// explained again.
     fn explain(&mut self, pair: &FramePair) {
-        self.explained = 0;
-        self.claims.iter_mut().for_each(ClaimMap::clear);
         let Self {
             pictures,
             rig,
@@ -247,10 +308,6 @@ impl Recognizer {
             ..
         } = self;
         let Some(views) = views(pictures, rig, pair, params) else { return };
-        for (taken, picture) in ends_taken.iter_mut().zip(pictures.iter()) {
-            taken.clear();
-            taken.resize(picture.nodes().len(), false);
-        }
         let down = grasp::down_in_left(&params.grasp);
         let slope_sin_max = params.slope_rad_max.sin();
         for hypothesis in pool.iter() {
@@ -440,6 +497,53 @@ fn take_end(nodes: &[nodes::ImageNode], at: &Vector2<f64>, taken: &mut [bool]) {
     if let Some(n) = nearest {
         taken[n] = true;
     }
+}
+
+/// Half the width of a wire in a picture, in pixels: what a quarter of its wire does not exceed, for regions of
+/// several wires are wider.
+fn half_width_px(picture: &Picture) -> f64 {
+    let edges = &picture.graph().edges;
+    let length = |below: f32| -> usize {
+        edges.iter().filter(|e| e.half_thickness_px <= below).map(|e| e.points.len()).sum()
+    };
+    let all = length(f32::INFINITY);
+    let quarter = edges.iter().map(|e| e.half_thickness_px).filter(|&h| 4 * length(h) >= all);
+    f64::from(quarter.fold(f32::INFINITY, f32::min).min(HALF_WIDTH_PX_MAX))
+}
+
+/// Columns and rows of the skeleton that no part claims; `None` where it is shorter than `length_px`.
+fn unexplained(picture: &Picture, claims: &ClaimMap, length_px: f64) -> Option<[Range<usize>; 2]> {
+    let (mut from, mut to, mut count) = ([usize::MAX; 2], [0; 2], 0usize);
+    for point in &picture.graph().points {
+        if claims.is_claimed_by_any(&Vector2::new(point[0].into(), point[1].into())) {
+            continue;
+        }
+        count += 1;
+        for axis in 0..2 {
+            from[axis] = from[axis].min(usize::from(point[axis]));
+            to[axis] = to[axis].max(usize::from(point[axis]) + 1);
+        }
+    }
+    // The mask reaches about half a wire farther than its skeleton, and what is put back there.
+    let margin = MARGIN_PX;
+    (count as f64 >= length_px)
+        .then(|| [0, 1].map(|axis| from[axis].saturating_sub(margin)..to[axis] + margin))
+}
+
+/// How far beyond the skeleton wire is looked for.
+const MARGIN_PX: usize = 16;
+
+/// Wider wire is not looked at by its ridge.
+const HALF_WIDTH_PX_MAX: f32 = 40.0;
+
+/// Whether most of a stretch is claimed.
+fn is_claimed(claims: &ClaimMap, stretch: &ridge::Stretch) -> bool {
+    let [from, to] = stretch.ends_px;
+    let Some(along) = (to - from).try_normalize(1e-9) else { return true };
+    let across = Vector2::new(-along.y, along.x);
+    let claimed =
+        (0..=8).filter(|&k| claims.is_claimed_at(&(from + (to - from) * (k as f64 / 8.0)), &across));
+    claimed.count() > 6
 }
 
 /// Whether most of the wire that a hypothesis would explain is explained for certain already.

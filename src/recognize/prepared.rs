@@ -31,6 +31,11 @@ impl Prepared {
         Placed { part: &self.part, model: &self.pose_model, left_from_part, sigma_mm }
     }
 
+    /// Length of wire that must be seen of it, in radii.
+    pub(super) fn least_seen_radii(&self, share: f64) -> f64 {
+        share * self.pose_model.length_mm / self.pose_model.radius_mm
+    }
+
     /// Sine of the steepest slope of its straight pieces.
     pub(super) fn slope_sin(&self, left_from_part: &Isometry3<f64>, down: &Vector3<f64>) -> f64 {
         let slope = |leg: &(Vector3<f64>, f64)| (left_from_part * leg.0).dot(down).abs();

@@ -7,4 +7,5 @@ pub mod decode;
 pub mod graph;
 mod lanes;
 pub mod level;
+pub mod ridge;
 pub mod thin;

@@ -1,0 +1,484 @@
+//! Ridges of brightness: where wires lie that the binary picture cannot tell apart.
+//!
+//! Wires that touch are one region of the mask, and its skeleton runs between them; but each wire is brighter along
+//! its middle than at its flanks. Takes the luma and the mask of one picture; gives [`Stretch`]es, the straight pieces of
+//! wire that ridges show, followed through what crosses them; owns the filtered rows and the points of the ridges.
+//!
+//! A pixel is on a ridge where the picture, smoothed by a Gaussian, has its extremum across the direction of least
+//! curvature within that pixel, after Steger, "An Unbiased Detector of Curvilinear Structures",
+//! doi:10.1109/34.659930, equations (10) to (14). Stretches grow from a point of a ridge both ways as long as further
+//! points lie on one line with it; where a neighbour on top hides them, over a gap that is foreground and no longer than
+//! what has been seen.
+
+use std::ops::Range;
+
+use nalgebra::{Matrix2, Vector2};
+
+use super::bits::BitImage;
+use crate::frame::LumaView;
+
+/// How ridges are found and followed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Params {
+    /// Standard deviation of the Gaussian, in half widths of the wire: small, so that the seam between two wires that
+    /// touch is not smoothed away.
+    pub sigma_half_widths: f64,
+    /// Curvature across the ridge times the Gaussian's variance, at least, in grey levels: six standard deviations of
+    /// what noise of 3 grey levels makes of it.
+    pub strength_min: f32,
+    /// How far a point may lie beside the line of its stretch, in pixels: the pixel it is taken from, and its error.
+    pub beside_px_max: f64,
+    /// Cosine of the angle between the directions of a point and its stretch, at least.
+    pub direction_cos_min: f64,
+    /// Longest stretch that a neighbour hides, in half widths: a wire of the same width at 20 degrees hides 6.
+    pub gap_half_widths_max: f64,
+    /// Shortest stretch, in half widths: shorter ones have no direction to speak of.
+    pub length_half_widths_min: f64,
+    /// Most points of ridges.
+    pub points_max: usize,
+    /// Most stretches.
+    pub stretches_max: usize,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Self {
+            sigma_half_widths: 0.35,
+            strength_min: 3.5,
+            beside_px_max: 1.3,
+            direction_cos_min: 0.94,
+            gap_half_widths_max: 12.0,
+            length_half_widths_min: 4.0,
+            points_max: 1 << 15,
+            stretches_max: 512,
+        }
+    }
+}
+
+/// A straight piece of wire in one picture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stretch {
+    /// Where it is seen to begin and to end, in pixels.
+    pub ends_px: [Vector2<f64>; 2],
+    /// Length of it on which the ridge is seen, in pixels.
+    pub seen_px: f64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Point {
+    at: [f32; 2],
+    along: [f32; 2],
+    taken: bool,
+}
+
+/// Widest half of the Gaussian's window, in pixels.
+const REACH_MAX: usize = 12;
+const TAPS_MAX: usize = 2 * REACH_MAX + 1;
+/// Least standard deviation of the Gaussian in pixels: below, its samples are no Gaussian.
+const SIGMA_PX_MIN: f64 = 1.0;
+
+/// Workspace.
+#[derive(Clone, Debug)]
+pub struct Ridges {
+    params: Params,
+    width: usize,
+    bytes: Vec<u8>,
+    padded: Vec<f32>,
+    /// For each tap a row smoothed along x: plain, first and second derivative.
+    rows: [Vec<f32>; 3],
+    points: Vec<Point>,
+    /// Index + 1 of the point of each pixel.
+    map: Vec<u32>,
+    stretches: Vec<Stretch>,
+}
+
+/// A Gaussian and its derivatives, sampled.
+struct Kernels {
+    reach: usize,
+    taps: [[f32; TAPS_MAX]; 3],
+}
+
+impl Kernels {
+    fn new(sigma: f64) -> Self {
+        let reach = ((3.0 * sigma).ceil() as usize).min(REACH_MAX);
+        let mut taps = [[0.0; TAPS_MAX]; 3];
+        let weight = |t: f64| (-t * t / (2.0 * sigma * sigma)).exp();
+        let offset = |k: usize| k as f64 - reach as f64;
+        let sum: f64 = (0..=2 * reach).map(|k| weight(offset(k))).sum();
+        for k in 0..=2 * reach {
+            let t = offset(k);
+            let g = weight(t) / sum;
+            // Correlated, not convolved: the sign of the first derivative is turned.
+            taps[0][k] = g as f32;
+            taps[1][k] = (g * t / (sigma * sigma)) as f32;
+            taps[2][k] = (g * (t * t / (sigma * sigma) - 1.0) / (sigma * sigma)) as f32;
+        }
+        // What cutting the window off leaves of a flat picture's second derivative.
+        let rest = taps[2].iter().sum::<f32>() / (2 * reach + 1) as f32;
+        taps[2][..=2 * reach].iter_mut().for_each(|t| *t -= rest);
+        Self { reach, taps }
+    }
+}
+
+impl Ridges {
+    /// Reserves all memory for pictures of this size.
+    pub fn new(params: Params, width: usize, height: usize) -> Self {
+        Self {
+            params,
+            width,
+            bytes: vec![0; width],
+            padded: vec![0.0; width + 2 * REACH_MAX],
+            rows: [0, 1, 2].map(|_| vec![0.0; width * TAPS_MAX]),
+            points: Vec::with_capacity(params.points_max),
+            map: vec![0; width * height],
+            stretches: Vec::with_capacity(params.stretches_max),
+        }
+    }
+
+    /// The stretches of the last run.
+    pub fn stretches(&self) -> &[Stretch] {
+        &self.stretches
+    }
+
+    /// Finds the stretches of wire about `half_width_px` thick to both sides of its middle, within `columns` and `rows`.
+    /// `dark`: the wire is darker than the floor.
+    ///
+    /// # Panics
+    /// Where the sizes differ from those in [`Ridges::new`].
+    pub fn run(
+        &mut self,
+        luma: LumaView,
+        mask: &BitImage,
+        [columns, rows]: [Range<usize>; 2],
+        dark: bool,
+        half_width_px: f64,
+    ) {
+        assert_eq!((luma.width(), luma.width() * luma.height()), (self.width, self.map.len()), "size");
+        for p in &self.points {
+            self.map[pixel_of(p.at, self.width)] = 0;
+        }
+        self.points.clear();
+        self.stretches.clear();
+        let sigma =
+            (self.params.sigma_half_widths * half_width_px).clamp(SIGMA_PX_MIN, REACH_MAX as f64 / 3.0);
+        let columns = columns.start.min(self.width)..columns.end.min(self.width);
+        let rows = rows.start..rows.end.min(luma.height());
+        if !columns.is_empty() {
+            self.find_points(luma, mask, columns, rows, dark, sigma);
+        }
+        for seed in 0..self.points.len() {
+            if self.stretches.len() == self.params.stretches_max {
+                return;
+            }
+            if !self.points[seed].taken
+                && let Some(stretch) = self.grow(seed, mask, half_width_px)
+            {
+                self.stretches.push(stretch);
+            }
+        }
+    }
+
+    fn find_points(
+        &mut self,
+        luma: LumaView,
+        mask: &BitImage,
+        columns: Range<usize>,
+        rows: Range<usize>,
+        dark: bool,
+        sigma: f64,
+    ) {
+        let kernels = Kernels::new(sigma);
+        let (reach, height) = (kernels.reach, luma.height());
+        let scale = (sigma * sigma) as f32;
+        let mut filtered = 0;
+        let strips = columns.start / 64..columns.end.div_ceil(64);
+        let within = |s: usize| {
+            let from = columns.start.saturating_sub(64 * s).min(64) as u32;
+            let to = columns.end.saturating_sub(64 * s).min(64) as u32;
+            let below = |n: u32| u64::MAX.checked_shl(n).map_or(u64::MAX, |m| !m);
+            below(to) & !below(from)
+        };
+        for y in rows {
+            if strips.clone().all(|s| mask.strip(s)[y] & within(s) == 0) {
+                continue;
+            }
+            // Rows up to y + reach are needed; those from y - reach on may still be there.
+            let from = filtered.max(y.saturating_sub(reach));
+            let to = (y + reach).min(height - 1);
+            for row in from..=to {
+                self.filter_row(luma, row, columns.clone(), dark, &kernels);
+            }
+            filtered = filtered.max(to + 1);
+            for s in strips.clone() {
+                let mut word = mask.strip(s)[y] & within(s);
+                while word != 0 {
+                    let x = 64 * s + word.trailing_zeros() as usize;
+                    word &= word - 1;
+                    self.look(x, y, height, &kernels, scale);
+                }
+            }
+        }
+    }
+
+    fn filter_row(&mut self, luma: LumaView, y: usize, columns: Range<usize>, dark: bool, kernels: &Kernels) {
+        let reach = kernels.reach;
+        // What lies beside the columns counts, too, as far as the picture goes.
+        let from = columns.start.saturating_sub(reach);
+        let to = (columns.end + reach).min(self.width);
+        let w = to - from;
+        luma.read_line(from, y, false, &mut self.bytes[..w]);
+        let sign = if dark { -1.0 } else { 1.0 };
+        for (p, b) in self.padded[reach..reach + w].iter_mut().zip(&self.bytes) {
+            *p = sign * f32::from(*b);
+        }
+        let (first, last) = (self.padded[reach], self.padded[reach + w - 1]);
+        self.padded[..reach].fill(first);
+        self.padded[reach + w..w + 2 * reach].fill(last);
+        let slot = (y % TAPS_MAX) * self.width + from;
+        for (rows, taps) in self.rows.iter_mut().zip(&kernels.taps) {
+            let out = &mut rows[slot..slot + w];
+            out.fill(0.0);
+            for (k, &tap) in taps[..=2 * reach].iter().enumerate() {
+                for (o, p) in out.iter_mut().zip(&self.padded[k..k + w]) {
+                    *o += tap * p;
+                }
+            }
+        }
+    }
+
+    /// Notes the pixel where a ridge passes through it.
+    fn look(&mut self, x: usize, y: usize, height: usize, kernels: &Kernels, scale: f32) {
+        let (mut gx, mut gy, mut gxx, mut gxy, mut gyy) = (0f32, 0f32, 0f32, 0f32, 0f32);
+        for k in 0..=2 * kernels.reach {
+            let row = (y + k).saturating_sub(kernels.reach).min(height - 1);
+            let at = (row % TAPS_MAX) * self.width + x;
+            let [plain, first, second] = [0, 1, 2].map(|d: usize| self.rows[d][at]);
+            let [g, g1, g2] = [0, 1, 2].map(|d: usize| kernels.taps[d][k]);
+            gx += g * first;
+            gy += g1 * plain;
+            gxx += g * second;
+            gxy += g1 * first;
+            gyy += g2 * plain;
+        }
+        let half = ((gxx - gyy) / 2.0).hypot(gxy);
+        let curvature = (gxx + gyy) / 2.0 - half;
+        if -curvature * scale < self.params.strength_min {
+            return;
+        }
+        // The eigenvector of the most negative curvature, from the row of the matrix that is longer.
+        let (a, b) = ((gxy, curvature - gxx), (curvature - gyy, gxy));
+        let (nx, ny) = if a.0.hypot(a.1) > b.0.hypot(b.1) { a } else { b };
+        let norm = nx.hypot(ny);
+        if norm < 1e-6 {
+            return;
+        }
+        let (nx, ny) = (nx / norm, ny / norm);
+        let t = -(gx * nx + gy * ny) / curvature;
+        // A little over half a pixel, so that no ridge slips between two.
+        if (t * nx).abs() <= 0.6 && (t * ny).abs() <= 0.6 && self.points.len() < self.params.points_max {
+            // Kept to the pixel, so that the map finds it again.
+            let at = [x as f32 + (t * nx).clamp(-0.49, 0.49), y as f32 + (t * ny).clamp(-0.49, 0.49)];
+            self.points.push(Point { at, along: [-ny, nx], taken: false });
+            self.map[y * self.width + x] = self.points.len() as u32;
+        }
+    }
+
+    fn grow(&mut self, seed: usize, mask: &BitImage, half_width_px: f64) -> Option<Stretch> {
+        self.points[seed].taken = true;
+        let origin = vector(self.points[seed].at);
+        let mut line = Line::new(origin, vector(self.points[seed].along));
+        line.add(origin);
+        let gap_max = self.params.gap_half_widths_max * half_width_px;
+        let mut reached = [0.0f64; 2];
+        let mut seen = 1.0;
+        for (way, reached) in [1.0, -1.0].into_iter().zip(&mut reached) {
+            let (mut at, mut gap) = (0.0, 0.0);
+            loop {
+                at += way;
+                let place = line.origin + line.along * (line.place_of(origin) + at);
+                if !mask.get(place.x.round() as i32, place.y.round() as i32) {
+                    break;
+                }
+                match self.point_near(place, &line) {
+                    Some(point) => {
+                        self.points[point].taken = true;
+                        line.add(vector(self.points[point].at));
+                        (gap, *reached) = (0.0, at);
+                        seen += 1.0;
+                    }
+                    None => {
+                        gap += 1.0;
+                        if gap > gap_max.min(seen) {
+                            break;
+                        }
+                    }
+                }
+            }
+        }
+        let length = reached[0] - reached[1];
+        if length < self.params.length_half_widths_min * half_width_px || 3.0 * seen < length {
+            return None;
+        }
+        let from = line.place_of(origin);
+        let at = |t: f64| line.origin + line.along * (from + t);
+        Some(Stretch { ends_px: [at(reached[1]), at(reached[0])], seen_px: seen })
+    }
+
+    /// A point that nobody has taken, at this place of a line.
+    fn point_near(&self, place: Vector2<f64>, line: &Line) -> Option<usize> {
+        let across = Vector2::new(-line.along.y, line.along.x);
+        [0.0, 1.0, -1.0].into_iter().find_map(|beside| {
+            let at = place + across * beside;
+            let (x, y) = (at.x.round(), at.y.round());
+            if x < 0.0 || y < 0.0 || x as usize >= self.width {
+                return None;
+            }
+            let index = (*self.map.get(y as usize * self.width + x as usize)?).checked_sub(1)? as usize;
+            let point = &self.points[index];
+            let off = (vector(point.at) - line.origin).dot(&across);
+            let turn = vector(point.along).dot(&line.along);
+            (!point.taken
+                && off.abs() <= self.params.beside_px_max
+                && turn.abs() >= self.params.direction_cos_min)
+                .then_some(index)
+        })
+    }
+}
+
+fn pixel_of(at: [f32; 2], width: usize) -> usize {
+    (at[1].round() as usize) * width + at[0].round() as usize
+}
+
+fn vector(p: [f32; 2]) -> Vector2<f64> {
+    Vector2::new(p[0].into(), p[1].into())
+}
+
+/// The line through points, in the least-squares sense.
+struct Line {
+    origin: Vector2<f64>,
+    along: Vector2<f64>,
+    count: f64,
+    sum: Vector2<f64>,
+    squares: Matrix2<f64>,
+}
+
+/// From this many points on their line is better than the direction of the first.
+const LINE_POINTS_MIN: f64 = 8.0;
+
+impl Line {
+    fn new(origin: Vector2<f64>, along: Vector2<f64>) -> Self {
+        Self { origin, along, count: 0.0, sum: Vector2::zeros(), squares: Matrix2::zeros() }
+    }
+
+    fn add(&mut self, at: Vector2<f64>) {
+        self.count += 1.0;
+        self.sum += at;
+        self.squares += at * at.transpose();
+        if self.count < LINE_POINTS_MIN {
+            return;
+        }
+        self.origin = self.sum / self.count;
+        let spread = self.squares / self.count - self.origin * self.origin.transpose();
+        let angle = 0.5 * (2.0 * spread.m12).atan2(spread.m11 - spread.m22);
+        let along = Vector2::new(angle.cos(), angle.sin());
+        self.along = if along.dot(&self.along) < 0.0 { -along } else { along };
+    }
+
+    fn place_of(&self, at: Vector2<f64>) -> f64 {
+        (at - self.origin).dot(&self.along)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::{Frame, PixelFormat};
+
+    /// A picture of round wires of 7 pixels diameter, brightest along their middles.
+    fn picture(wires: &[[[f64; 2]; 2]]) -> (Frame, BitImage) {
+        let (w, h) = (160, 120);
+        let mut mask = BitImage::new(w, h);
+        let mut bytes = vec![30u8; w * h];
+        for y in 0..h {
+            for x in 0..w {
+                let at = Vector2::new(x as f64, y as f64);
+                for [a, b] in wires {
+                    let (a, b) = (Vector2::from(*a), Vector2::from(*b));
+                    let along = (b - a) / (b - a).norm();
+                    let t = (at - a).dot(&along);
+                    let off = (at - a).perp(&along).abs() / 3.5;
+                    if (0.0..=(b - a).norm()).contains(&t) && off < 1.0 {
+                        bytes[y * w + x] =
+                            bytes[y * w + x].max(60 + (140.0 * (1.0 - off * off).sqrt()) as u8);
+                        mask.set(x, y, true);
+                    }
+                }
+            }
+        }
+        (
+            Frame {
+                bytes,
+                format: PixelFormat::Grey,
+                width: w,
+                height: h,
+                stride_bytes: w,
+                ..Frame::default()
+            },
+            mask,
+        )
+    }
+
+    fn stretches(wires: &[[[f64; 2]; 2]]) -> Vec<Stretch> {
+        let (frame, mask) = picture(wires);
+        let mut ridges = Ridges::new(Params::default(), frame.width, frame.height);
+        ridges.run(LumaView::new(&frame).unwrap(), &mask, [0..160, 0..120], false, 3.5);
+        ridges.stretches().to_vec()
+    }
+
+    fn shows(stretch: &Stretch, wire: &[[f64; 2]; 2]) -> bool {
+        let [a, b] = wire.map(Vector2::from);
+        let off = |p: Vector2<f64>| (p - a).perp(&(b - a)).abs() / (b - a).norm();
+        let [from, to] = stretch.ends_px;
+        off(from) < 0.5 && off(to) < 0.5 && (to - from).norm() > (b - a).norm() - 8.0
+    }
+
+    #[test]
+    fn wires_that_touch_are_told_apart() {
+        let wires = [[[20.0, 40.0], [140.0, 52.0]], [[20.0, 47.5], [140.0, 59.5]]];
+        let found = stretches(&wires);
+        assert!(wires.iter().all(|w| found.iter().any(|s| shows(s, w))), "{found:?}");
+    }
+
+    #[test]
+    fn a_wire_is_followed_under_one_that_crosses_it() {
+        let wires = [[[20.0, 60.0], [140.0, 60.0]], [[60.0, 10.0], [90.0, 110.0]]];
+        let found = stretches(&wires);
+        assert!(wires.iter().all(|w| found.iter().any(|s| shows(s, w))), "{found:?}");
+    }
+
+    #[test]
+    fn nothing_is_found_outside_the_area() {
+        let (frame, mask) = picture(&[[[20.0, 60.0], [140.0, 60.0]]]);
+        let mut ridges = Ridges::new(Params::default(), frame.width, frame.height);
+        let luma = LumaView::new(&frame).unwrap();
+        ridges.run(luma, &mask, [70..100, 0..120], false, 3.5);
+        let [from, to] = ridges.stretches()[0].ends_px;
+        assert!(from.x > 68.0 && to.x < 101.0 && (to.x - from.x) > 25.0, "{from} {to}");
+        ridges.run(luma, &mask, [0..160, 80..120], false, 3.5);
+        assert!(ridges.stretches().is_empty());
+    }
+
+    #[test]
+    fn bare_floor_has_none_and_a_second_run_forgets_the_first() {
+        let (frame, mask) = picture(&[[[20.0, 60.0], [140.0, 60.0]]]);
+        let luma = LumaView::new(&frame).unwrap();
+        let mut ridges = Ridges::new(Params::default(), frame.width, frame.height);
+        ridges.run(luma, &mask, [0..160, 0..120], false, 3.5);
+        let first = ridges.stretches().to_vec();
+        assert!(!first.is_empty());
+        ridges.run(luma, &BitImage::new(frame.width, frame.height), [0..160, 0..120], false, 3.5);
+        assert!(ridges.stretches().is_empty());
+        ridges.run(luma, &mask, [0..160, 0..120], false, 3.5);
+        assert_eq!(ridges.stretches(), first);
+    }
+}
