@@ -1,43 +1,13 @@
-//! How one thread hands something to another without a lock: [`Latest`] (the newest wins) and [`Waker`].
+//! How one thread wakes another: [`Waker`].
 //!
-//! Takes values, gives them to another thread; owns the one place between the two. A thread that has nothing to
-//! do sleeps in the kernel on its waker's descriptor, together with whatever device it serves; nothing spins.
+//! A thread that has nothing to do sleeps in the kernel on its waker's descriptor, together with whatever device it
+//! serves; nothing spins. What is handed over goes through the rings of [`crate::cell::desk`].
 
 use std::io;
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::time::Duration;
 
-use crossbeam_queue::ArrayQueue;
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
-
-/// A place for one value, in which a newer one replaces one that was not fetched.
-#[derive(Debug)]
-pub struct Latest<T> {
-    place: ArrayQueue<T>,
-}
-
-impl<T> Latest<T> {
-    /// An empty place.
-    pub fn new() -> Self {
-        Self { place: ArrayQueue::new(1) }
-    }
-
-    /// Puts `value` there and gives the one back that it replaced.
-    pub fn put(&self, value: T) -> Option<T> {
-        self.place.force_push(value)
-    }
-
-    /// Takes what is there.
-    pub fn take(&self) -> Option<T> {
-        self.place.pop()
-    }
-}
-
-impl<T> Default for Latest<T> {
-    fn default() -> Self {
-        Self::new()
-    }
-}
 
 /// Wakes a thread that sleeps in [`Waker::wait`] or polls [`Waker::as_fd`]. An eventfd: a wake that comes while
 /// nobody sleeps is kept, several are one.
@@ -102,14 +72,6 @@ pub fn wait_readable(fds: &[BorrowedFd<'_>], timeout: Option<Duration>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_newest_wins_and_the_older_one_comes_back() {
-        let place = Latest::new();
-        assert_eq!(place.put(1), None);
-        assert_eq!(place.put(2), Some(1));
-        assert_eq!((place.take(), place.take()), (Some(2), None));
-    }
 
     #[test]
     fn a_wake_before_the_sleep_is_kept() {

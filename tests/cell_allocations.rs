@@ -10,7 +10,7 @@ use pickcell::camera::replay::Pace;
 use pickcell::camera::{Camera, Condition, Grab, ReplayCamera, Side};
 use pickcell::cell::carrier::Carrier;
 use pickcell::cell::core::{Core, Event, Operator, Params, PlaceRecord};
-use pickcell::cell::desk::{Desk, Letter, Paper};
+use pickcell::cell::desk::{Desk, Letter, Paper, Seats};
 use pickcell::cell::recogniser::recognise;
 use pickcell::recognize::Recognizer;
 use pickcell::time::Timestamp;
@@ -60,7 +60,8 @@ fn nothing_is_allocated_between_two_pairs() {
     let session = pickcell::session::Session::open(&project.join("replay/conveyor")).unwrap();
     const PAIRS: usize = 60;
     let sides = ReplayCamera::both(&session, &Pace::Every(Duration::ZERO), PAIRS, true).unwrap();
-    let desk = Desk::new(2, sides[0].largest_bytes()).unwrap();
+    let (desk, seats) = Desk::new(2, sides[0].largest_bytes()).unwrap();
+    let Seats { mut grabs, mut cold, hub, .. } = seats;
     let [mut left, mut right] = sides.map(Camera::Replay);
     let period_ns = 33_000_000;
     let params = Params {
@@ -83,7 +84,7 @@ fn nothing_is_allocated_between_two_pairs() {
     let mut arm = Arm::open(&cell.arm_side, 7).unwrap();
     arm.hasten(20.0);
     let mut now = Timestamp(1_000_000_000_000);
-    let mut carrier = Carrier::new(&desk, Core::new(params, &cell.arm_side, now), arm);
+    let mut carrier = Carrier::new(&desk, hub, Core::new(params, &cell.arm_side, now), arm);
     let (mut arm_loop, mut recognise_loop, mut sent, mut parts_found) = (0, 0, 0, 0);
     for pair in 0..PAIRS {
         let warm = pair >= PAIRS / 3;
@@ -97,29 +98,27 @@ fn nothing_is_allocated_between_two_pairs() {
                 }
                 carrier.event(&Event::Operator(Operator::Release), now);
                 for (side, camera) in [(Side::Left, &mut left), (Side::Right, &mut right)] {
-                    let mut frame = desk.pool.take().unwrap();
+                    let mut frame = grabs[side.index()].free.pop().unwrap();
                     assert!(matches!(camera.grab(&mut frame, Duration::from_secs(1)), Grab::Frame { .. }));
                     frame.timestamp = now;
                     carrier.letter(Letter::Frame(side, frame, Condition::Good, 0), now);
                 }
             }),
         );
-        let work = carrier.work.take().expect("every pair is searched");
-        let number = work.job.pair.number;
-        let mut file = desk.files.pop().unwrap();
+        let mut work = carrier.take_work().expect("every pair is searched");
         let mut found = None;
-        count(
-            &mut recognise_loop,
-            taken_by(|| found = Some(recognise(&mut recognizer, work, true, &mut file))),
-        );
-        let found = found.unwrap();
+        count(&mut recognise_loop, taken_by(|| found = Some(recognise(&mut recognizer, &mut work, true))));
+        let (found, number, file) = (found.unwrap(), work.job.pair.number, work.file);
         parts_found += u64::from(warm) * u64::from(found.parts);
         count(&mut arm_loop, taken_by(|| carrier.letter(Letter::Recognised(number, found, file), now)));
-        while let Some(paper) = desk.papers.try_recv() {
+        while let Ok(paper) = cold.papers.pop() {
             if let Paper::Pair(report, file) = paper {
                 sent += usize::from(warm && report.outcome.is_ok());
-                file.into_iter().for_each(|file| desk.give_back(file));
+                file.into_iter().for_each(|file| cold.outbox.send(Letter::Filed(file)));
             }
+        }
+        while let Some(letter) = carrier.next_letter() {
+            carrier.letter(letter, now);
         }
     }
     assert!(sent > 0, "targets go out while it is counted");

@@ -15,7 +15,7 @@ use pickcell::cell::carrier::Carrier;
 use pickcell::cell::core::{
     Candidate, Cause, Core, Event, Found, Grasp, Note, Operator, Params, PlaceRecord, State,
 };
-use pickcell::cell::desk::{Desk, Letter, Paper};
+use pickcell::cell::desk::{ColdSeat, Desk, GrabSeat, Letter, Paper, Seats};
 use pickcell::frame::Frame;
 use pickcell::time::Timestamp;
 
@@ -43,7 +43,8 @@ struct Told {
 }
 
 struct Campaign<'a> {
-    desk: &'a Desk,
+    grabs: [GrabSeat; 2],
+    cold: ColdSeat,
     carrier: Carrier<'a>,
     now: Timestamp,
     told: Told,
@@ -63,29 +64,26 @@ impl Campaign<'_> {
         }
         self.now = until;
         for side in Side::BOTH {
-            let mut frame: Frame = self.desk.pool.take().expect("every frame comes back");
+            let mut frame: Frame = self.grabs[side.index()].free.pop().expect("every frame comes back");
             frame.timestamp = self.now;
             self.carrier.letter(Letter::Frame(side, frame, Condition::Good, 0), self.now);
         }
-        if let Some(work) = self.carrier.work.take() {
-            let mut file = self.desk.files.pop().expect("every file comes back");
-            let number = work.job.pair.number;
-            file.pair = work.pair;
+        if let Some(work) = self.carrier.take_work() {
             let mut found = Found { parts: 1, ..Found::default() };
             let pose = Pose { position_mm: [x_mm, 50.0, 10.0], orientation_xyzw: [1.0, 0.0, 0.0, 0.0] };
             found.push(Candidate { part: 0, fitness: 0.1, grasp: Grasp(pose), opening_mm: 8.0 });
             self.now = Timestamp(self.now.0 + 2 * MS);
-            self.carrier.letter(Letter::Recognised(number, found, file), self.now);
+            self.carrier.letter(Letter::Recognised(work.job.pair.number, found, work.file), self.now);
         }
         self.read();
     }
 
     fn read(&mut self) {
-        while let Some(paper) = self.desk.papers.try_recv() {
+        while let Ok(paper) = self.cold.papers.pop() {
             match paper {
                 Paper::Pair(report, file) => {
                     self.told.ordered.extend(report.outcome.ok().map(|sent| sent.id));
-                    file.into_iter().for_each(|file| self.desk.give_back(file));
+                    file.into_iter().for_each(|file| self.cold.outbox.send(Letter::Filed(file)));
                 }
                 Paper::Note(Note::Ended { id, end }, _) => {
                     *self.told.ends.entry(id).or_default() += 1;
@@ -96,6 +94,9 @@ impl Campaign<'_> {
                 }
                 Paper::Note(..) => {}
             }
+        }
+        while let Some(letter) = self.carrier.next_letter() {
+            self.carrier.letter(letter, self.now);
         }
     }
 
@@ -129,13 +130,13 @@ fn params() -> Params {
 
 fn run(seed: u64, settings: &Settings) -> (u32, u64) {
     let faults = [FAULTS[seed as usize % 8], FAULTS[(seed / 8) as usize % 8]];
-    let desk = Desk::new(2, 16).unwrap();
+    let (desk, Seats { grabs, cold, hub, .. }) = Desk::new(2, 16).unwrap();
     let mut link = SimulatedLink::new(settings, seed as u32, Faults::new(seed, &faults)).unwrap();
     link.arm().set_tempo(4.0);
     let start = Timestamp(1_000_000 * MS);
     let arm = Arm::Linked(Box::new(Link::Simulated(link)));
-    let carrier = Carrier::new(&desk, Core::new(params(), settings, start), arm);
-    let mut campaign = Campaign { desk: &desk, carrier, now: start, told: Told::default() };
+    let carrier = Carrier::new(&desk, hub, Core::new(params(), settings, start), arm);
+    let mut campaign = Campaign { grabs, cold, carrier, now: start, told: Told::default() };
     for period in 0..400 {
         campaign.release();
         campaign.period(f64::from(period % 20) * 10.0 - 100.0);

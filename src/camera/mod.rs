@@ -5,7 +5,6 @@
 //! it makes no decision about a frame: damaged and short ones are handed on with their [`Condition`] and the
 //! cell's core counts them.
 
-pub mod pool;
 pub mod replay;
 pub mod v4l;
 
@@ -15,7 +14,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::frame::Frame;
 
-pub use pool::FramePool;
 pub use replay::ReplayCamera;
 
 /// Which of the two.

@@ -3,8 +3,8 @@
 //! Takes letters and the time; owns the core, the arm and the frames that the core has not let go. The live cell
 //! runs it in the arm's thread; a session played as fast as possible runs it on the session's own time.
 
-use super::core::{Action, Actions, Core, Ending, Event, Note, PairReport, State};
-use super::desk::{Desk, File, Letter, Paper, Work};
+use super::core::{Action, Actions, Core, Ending, Event, Job, Note, PairReport, State};
+use super::desk::{Desk, File, Hub, Letter, Paper, Work};
 use super::pairing::{FrameSeen, Handle};
 use crate::arm::Arm;
 use crate::camera::{Condition, Side};
@@ -19,7 +19,7 @@ const HANDLES: usize = super::core::HANDLES;
 enum Place {
     #[default]
     Free,
-    Here(Frame),
+    Here(Side, Frame),
     /// With the recogniser, later with the cold thread, which gives it back to the pool.
     Lent,
 }
@@ -27,6 +27,7 @@ enum Place {
 /// The carrier.
 pub struct Carrier<'a> {
     desk: &'a Desk,
+    hub: Hub,
     core: Core,
     arm: Arm,
     actions: Actions,
@@ -34,8 +35,8 @@ pub struct Carrier<'a> {
     arrivals: [Timestamp; HANDLES],
     /// The file of the pair that the core is just being told of.
     file: Option<Box<File>>,
-    /// For the recogniser: put there by the core's wish, taken by whoever runs this.
-    pub work: Option<Work>,
+    /// What the core wants recognised.
+    ordered: Option<(Job, FramePair)>,
     /// Pairs that were finished since somebody last looked.
     pub pairs_finished: u32,
     last_finished: Timestamp,
@@ -44,16 +45,17 @@ pub struct Carrier<'a> {
 
 impl<'a> Carrier<'a> {
     /// Everything at rest.
-    pub fn new(desk: &'a Desk, core: Core, arm: Arm) -> Self {
+    pub fn new(desk: &'a Desk, hub: Hub, core: Core, arm: Arm) -> Self {
         Self {
             desk,
+            hub,
             core,
             arm,
             actions: Actions::new(),
             shelf: Default::default(),
             arrivals: [Timestamp::default(); HANDLES],
             file: None,
-            work: None,
+            ordered: None,
             pairs_finished: 0,
             last_finished: Timestamp::default(),
             ending: None,
@@ -63,6 +65,24 @@ impl<'a> Carrier<'a> {
     /// Whether a pair is with the recogniser.
     pub fn is_searching(&self) -> bool {
         self.shelf.iter().any(|place| matches!(place, Place::Lent))
+    }
+
+    /// For the recogniser: what the core wants recognised, once.
+    pub fn take_work(&mut self) -> Option<Work> {
+        let (job, pair) = self.ordered.take()?;
+        let mut file = self.hub.file().expect("a file is kept for the recogniser");
+        file.pair = pair;
+        Some(Work { job, file })
+    }
+
+    /// The next letter that waits.
+    pub fn next_letter(&mut self) -> Option<Letter> {
+        self.hub.letter()
+    }
+
+    /// A frame that was not filled.
+    pub fn give(&mut self, side: Side, frame: Frame) {
+        self.hub.give(side, frame);
     }
 
     /// How it ended, once it has.
@@ -106,9 +126,10 @@ impl<'a> Carrier<'a> {
                 self.event(&Event::Recognised { pair, found }, now);
                 if let Some(file) = self.file.take() {
                     // The core had already given the pair up.
-                    self.desk.give_back(file);
+                    self.hub.give_back(file);
                 }
             }
+            Letter::Filed(file) => self.hub.give_back(file),
             Letter::Persisted(record, true) => self.event(&Event::Persisted(record), now),
             Letter::Persisted(_, false) => self.event(&Event::NotPersisted, now),
         }
@@ -137,7 +158,7 @@ impl<'a> Carrier<'a> {
     fn frame(&mut self, side: Side, frame: Frame, condition: Condition, skipped: u32, now: Timestamp) {
         let Some(slot) = self.shelf.iter().position(|place| matches!(place, Place::Free)) else {
             // The core holds fewer frames than there are places; a frame more than that is not one of them.
-            self.desk.pool.give(frame);
+            self.hub.give(side, frame);
             return;
         };
         let seen = FrameSeen {
@@ -151,7 +172,7 @@ impl<'a> Carrier<'a> {
         };
         self.arrivals[slot] = now;
         self.desk.telemetry.record(Stage::Transfer, now.since(frame.timestamp));
-        self.shelf[slot] = Place::Here(frame);
+        self.shelf[slot] = Place::Here(side, frame);
         self.event(&Event::Frame(seen), now);
     }
 
@@ -162,16 +183,16 @@ impl<'a> Carrier<'a> {
                 let ready = arrived(job.pair.left.handle).max(arrived(job.pair.right.handle));
                 let [left, right] = [job.pair.left.handle, job.pair.right.handle].map(|handle| {
                     match std::mem::replace(&mut self.shelf[handle.index()], Place::Lent) {
-                        Place::Here(frame) => frame,
+                        Place::Here(_, frame) => frame,
                         Place::Free | Place::Lent => unreachable!("the core gives every frame to one search"),
                     }
                 });
                 self.desk.telemetry.record(Stage::Queue, now.since(ready));
-                self.work = Some(Work { job, pair: FramePair { left, right } });
+                self.ordered = Some((job, FramePair { left, right }));
             }
             Action::Free(handle) => {
-                if let Place::Here(frame) = std::mem::take(&mut self.shelf[handle.index()]) {
-                    self.desk.pool.give(frame);
+                if let Place::Here(side, frame) = std::mem::take(&mut self.shelf[handle.index()]) {
+                    self.hub.give(side, frame);
                 }
             }
             Action::Arm(command) => {
@@ -182,10 +203,9 @@ impl<'a> Carrier<'a> {
                 }
             }
             Action::Persist(record) => {
-                if self.desk.records.try_send(record).is_err() {
+                if !self.hub.persist(record) {
                     self.event_nested(&Event::NotPersisted, now);
                 }
-                self.desk.papers_waker.wake();
             }
             Action::Say(note) => self.say(note, now),
             Action::End(ending) => self.ending = Some(ending),
@@ -221,11 +241,10 @@ impl<'a> Carrier<'a> {
             }
             _ => Paper::Note(note, now),
         };
-        if let Err(Paper::Pair(_, Some(file))) = self.desk.papers.try_send(paper) {
+        if let Err(Paper::Pair(_, Some(file))) = self.hub.tell(paper) {
             self.desk.telemetry.add_unshown();
-            self.desk.give_back(file);
+            self.hub.give_back(file);
         }
-        self.desk.papers_waker.wake();
     }
 
     /// The file of the pair, for the cold thread, if the recogniser still finds one.
@@ -237,7 +256,7 @@ impl<'a> Carrier<'a> {
         if !of_this_pair {
             return None;
         }
-        if self.desk.files.is_empty() {
+        if !self.hub.has_file() {
             self.desk.telemetry.add_unshown();
             return None;
         }

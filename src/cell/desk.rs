@@ -1,26 +1,40 @@
-//! What the threads of a cell share: the frames, the files of pairs, the letters between them, the measurements.
+//! What goes from thread to thread of a cell: frames, files of pairs, letters, papers; and what all of them share.
 //!
-//! What goes from thread to thread goes through bounded channels, what lies in stock (frames, files) through bounded
-//! queues. Every file and frame has one owner and is moved. All of it is made before the threads start. Nobody waits
-//! inside a channel for something to come: a receiver sleeps on its waker, so that to send takes no lock.
+//! The arm's thread is the hub: every way leads from it or to it, and has one sender and one receiver, a wait-free
+//! ring made before the threads start. So a thread that is interrupted in the middle of sending holds nobody up,
+//! whatever the priorities: in a queue with several senders a receiver of higher priority would wait, spinning, for
+//! one that it has itself put off its core. Every file and frame has one owner and is moved. Nobody waits inside a
+//! ring: a receiver sleeps on its waker.
+//!
+//! ```text
+//!  left ──┐ letters                free frames ┌──▶ left
+//!  right ─┤                                    ├──▶ right
+//!  recognise ─┼──────────▶  arm  ──────────────┼──▶ recognise   (a pair and a file to write into)
+//!  cold ──┘                                    └──▶ cold        (papers, place records)
+//! ```
 
 use std::io;
+use std::sync::Arc;
+use std::time::Duration;
 
-use crossbeam_channel::{Receiver, Sender, bounded};
-use crossbeam_queue::ArrayQueue;
+use rtrb::{Consumer, Producer, PushError, RingBuffer};
 
 use super::core::{Found, Job, Note, PairReport, PlaceRecord};
-use crate::camera::{Condition, FramePool, Side, Trouble};
+use crate::camera::{Condition, Side, Trouble};
 use crate::frame::{Frame, FramePair};
 use crate::handover::Waker;
 use crate::recognize::{Recognition, Refusal};
 use crate::telemetry::Telemetry;
 use crate::time::Timestamp;
 
-/// Letters to the arm's thread without a frame in them that wait at most.
+/// Letters of one sender, beside those with a frame or a file in them, that wait at most.
 const LETTERS: usize = 32;
 /// Papers to the cold thread that wait at most.
 const PAPERS: usize = 1024;
+/// Place records that wait at most.
+const RECORDS: usize = 4;
+/// A sender whose ring is full tries again after so long.
+const FULL_PAUSE: Duration = Duration::from_millis(1);
 
 /// All that is known of a pair: made once, used again and again.
 #[derive(Debug, Default)]
@@ -39,7 +53,7 @@ pub struct File {
 
 /// To the arm's thread.
 #[derive(Debug)]
-#[expect(clippy::large_enum_variant, reason = "letters are moved through a queue that was made before")]
+#[expect(clippy::large_enum_variant, reason = "letters are moved through rings that were made before")]
 pub enum Letter {
     /// A camera has a frame.
     Frame(Side, Frame, Condition, u32),
@@ -53,6 +67,8 @@ pub enum Letter {
     Recognised(u64, Found, Box<File>),
     /// The cold thread has written and synced a record, or could not.
     Persisted(PlaceRecord, bool),
+    /// The cold thread needs a file no longer.
+    Filed(Box<File>),
 }
 
 /// To the cold thread.
@@ -69,107 +85,187 @@ pub enum Paper {
 pub struct Work {
     /// What is to be done.
     pub job: Job,
-    /// The pictures.
-    pub pair: FramePair,
+    /// The pictures, and room for what is found in them.
+    pub file: Box<File>,
 }
 
-/// A bounded channel with both of its ends; many may send, one thread takes.
-#[derive(Debug)]
-pub struct Tray<T> {
-    sender: Sender<T>,
-    receiver: Receiver<T>,
-}
-
-impl<T> Tray<T> {
-    /// Room for `len`, all of it made now.
-    fn new(len: usize) -> Self {
-        let (sender, receiver) = bounded(len);
-        Self { sender, receiver }
-    }
-
-    /// Puts `value` in, without waiting.
-    ///
-    /// # Errors
-    /// Gives it back where there is no room.
-    pub fn try_send(&self, value: T) -> Result<(), T> {
-        self.sender.try_send(value).map_err(|refused| refused.into_inner())
-    }
-
-    /// Puts `value` in and waits for room if there is none.
-    fn send(&self, value: T) {
-        // It fails only without a receiver, which is here.
-        let _ = self.sender.send(value);
-    }
-
-    /// Takes the oldest, without waiting.
-    pub fn try_recv(&self) -> Option<T> {
-        self.receiver.try_recv().ok()
-    }
-}
-
-/// Everything that is shared.
+/// What all threads share.
 #[derive(Debug)]
 pub struct Desk {
-    /// Free frames.
-    pub pool: FramePool,
-    /// Free files.
-    pub files: ArrayQueue<Box<File>>,
-    /// To the arm's thread.
-    pub letters: Tray<Letter>,
     /// Wakes the arm's thread.
-    pub letters_waker: Waker,
-    /// To the cold thread.
-    pub papers: Tray<Paper>,
-    /// To the cold thread, before any paper: records to be written, synced and answered.
-    pub records: Tray<PlaceRecord>,
+    pub letters_waker: Arc<Waker>,
     /// Wakes the cold thread.
-    pub papers_waker: Waker,
+    pub papers_waker: Arc<Waker>,
     /// What is measured.
     pub telemetry: Telemetry,
 }
 
+/// A thread's way to the arm's thread.
+#[derive(Debug)]
+pub struct Outbox {
+    letters: Producer<Letter>,
+    waker: Arc<Waker>,
+}
+
+impl Outbox {
+    /// Sends a letter. There is room for every frame and file that this sender can have, and more; should the arm's
+    /// thread be stopped for so long that there is none, the sender sleeps rather than lose a word.
+    pub fn send(&mut self, letter: Letter) {
+        let mut letter = letter;
+        while let Err(PushError::Full(back)) = self.letters.push(letter) {
+            if self.letters.is_abandoned() {
+                return;
+            }
+            self.waker.wake();
+            std::thread::sleep(FULL_PAUSE);
+            letter = back;
+        }
+        self.waker.wake();
+    }
+}
+
+/// What a grab thread has.
+#[derive(Debug)]
+pub struct GrabSeat {
+    /// Free frames.
+    pub free: Consumer<Frame>,
+    /// To the arm's thread.
+    pub outbox: Outbox,
+}
+
+/// What the cold thread has.
+#[derive(Debug)]
+pub struct ColdSeat {
+    /// What to say and to draw.
+    pub papers: Consumer<Paper>,
+    /// Before any paper: records to be written, synced and answered.
+    pub records: Consumer<PlaceRecord>,
+    /// To the arm's thread.
+    pub outbox: Outbox,
+}
+
+/// What the arm's thread has.
+#[derive(Debug)]
+pub struct Hub {
+    letters: [Consumer<Letter>; 4],
+    free: [Producer<Frame>; 2],
+    stock: Vec<Box<File>>,
+    papers: Producer<Paper>,
+    records: Producer<PlaceRecord>,
+    papers_waker: Arc<Waker>,
+}
+
+/// Everything that the threads of a cell have for themselves.
+#[derive(Debug)]
+pub struct Seats {
+    /// Left and right.
+    pub grabs: [GrabSeat; 2],
+    /// The recogniser's way to the arm's thread.
+    pub recognise: Outbox,
+    /// The cold thread's.
+    pub cold: ColdSeat,
+    /// The arm's thread's.
+    pub hub: Hub,
+}
+
 impl Desk {
-    /// `files` pairs may be looked at by the cold thread at a time; frames have room for `frame_bytes`.
+    /// `files` pairs may be looked at by the cold thread at a time; frames have room for `frame_bytes`. All memory
+    /// is taken here.
     ///
     /// # Errors
     /// The system has no descriptor left.
-    pub fn new(files: usize, frame_bytes: usize) -> io::Result<Self> {
+    pub fn new(files: usize, frame_bytes: usize) -> io::Result<(Self, Seats)> {
         // One file is with the recogniser, one on its way to the core.
         let files = files + 2;
-        let frames = 2 * files + super::core::HANDLES + 4;
-        let free = ArrayQueue::new(files);
-        for _ in 0..files {
-            let pushed = free.push(Box::default());
-            assert!(pushed.is_ok(), "room for {files} files");
-        }
-        Ok(Self {
-            pool: FramePool::new(frames, frame_bytes),
-            files: free,
-            letters: Tray::new(frames + LETTERS),
-            letters_waker: Waker::new()?,
-            papers: Tray::new(PAPERS),
-            records: Tray::new(4),
-            papers_waker: Waker::new()?,
-            telemetry: Telemetry::new(),
-        })
+        // Of each side: one in every file, those that the core keeps, one that is filled and one on its way.
+        let frames = files + super::core::HANDLES + 2;
+        let letters_waker = Arc::new(Waker::new()?);
+        let papers_waker = Arc::new(Waker::new()?);
+        let way = |room: usize| {
+            let (letters, inbox) = RingBuffer::new(room + LETTERS);
+            (Outbox { letters, waker: Arc::clone(&letters_waker) }, inbox)
+        };
+        let grab = || {
+            let (mut given, free) = RingBuffer::new(frames);
+            for _ in 0..frames {
+                given.push(touched(frame_bytes)).expect("a ring of so many frames");
+            }
+            let (outbox, inbox) = way(frames);
+            (GrabSeat { free, outbox }, given, inbox)
+        };
+        let ((left, free_left, from_left), (right, free_right, from_right)) = (grab(), grab());
+        let (recognise, from_recognise) = way(files);
+        let (outbox, from_cold) = way(files);
+        let (to_papers, papers) = RingBuffer::new(PAPERS);
+        let (to_records, records) = RingBuffer::new(RECORDS);
+        let hub = Hub {
+            letters: [from_left, from_right, from_recognise, from_cold],
+            free: [free_left, free_right],
+            stock: (0..files).map(|_| Box::default()).collect(),
+            papers: to_papers,
+            records: to_records,
+            papers_waker: Arc::clone(&papers_waker),
+        };
+        let cold = ColdSeat { papers, records, outbox };
+        let desk = Self { letters_waker, papers_waker, telemetry: Telemetry::new() };
+        Ok((desk, Seats { grabs: [left, right], recognise, cold, hub }))
+    }
+}
+
+/// A frame with room for so many bytes, every page of it in memory.
+fn touched(frame_bytes: usize) -> Frame {
+    // Filled with something else than zeros, or the system would map one page for all of it.
+    let mut bytes = vec![1; frame_bytes];
+    bytes.clear();
+    Frame { bytes, ..Frame::default() }
+}
+
+impl Hub {
+    /// The next letter, if any waits; those of one sender in their order.
+    pub fn letter(&mut self) -> Option<Letter> {
+        self.letters.iter_mut().find_map(|inbox| inbox.pop().ok())
     }
 
-    /// Sends a letter to the arm's thread. There is room for every frame of the pool and more; should that thread
-    /// be stopped for so long that there is none, the sender sleeps rather than lose a word.
-    pub fn send(&self, letter: Letter) {
-        if let Err(letter) = self.letters.try_send(letter) {
-            self.letters_waker.wake();
-            self.letters.send(letter);
-        }
-        self.letters_waker.wake();
+    /// Gives a frame back to the side that filled it.
+    ///
+    /// # Panics
+    /// Where more frames come back than there are.
+    pub fn give(&mut self, side: Side, frame: Frame) {
+        self.free[side.index()].push(frame).expect("no more frames than there are");
+    }
+
+    /// Takes a file from the stock.
+    pub fn file(&mut self) -> Option<Box<File>> {
+        self.stock.pop()
+    }
+
+    /// Whether a file can be lent to the cold thread and one is left for the recogniser.
+    pub fn has_file(&self) -> bool {
+        !self.stock.is_empty()
     }
 
     /// Gives the pictures of a file back, and the file.
-    pub fn give_back(&self, mut file: Box<File>) {
-        self.pool.give(std::mem::take(&mut file.pair.left));
-        self.pool.give(std::mem::take(&mut file.pair.right));
-        let pushed = self.files.push(file);
-        assert!(pushed.is_ok(), "a file that is not from this desk");
+    pub fn give_back(&mut self, mut file: Box<File>) {
+        self.give(Side::Left, std::mem::take(&mut file.pair.left));
+        self.give(Side::Right, std::mem::take(&mut file.pair.right));
+        self.stock.push(file);
+    }
+
+    /// Hands a paper to the cold thread.
+    ///
+    /// # Errors
+    /// Gives it back where too many wait.
+    pub fn tell(&mut self, paper: Paper) -> Result<(), Paper> {
+        let told = self.papers.push(paper).map_err(|PushError::Full(paper)| paper);
+        self.papers_waker.wake();
+        told
+    }
+
+    /// Has a place record written; whether there was room for it.
+    pub fn persist(&mut self, record: PlaceRecord) -> bool {
+        let taken = self.records.push(record).is_ok();
+        self.papers_waker.wake();
+        taken
     }
 }
 
@@ -178,25 +274,52 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_full_tray_gives_back_what_it_cannot_take() {
-        let tray = Tray::new(2);
-        assert_eq!((tray.try_send(1), tray.try_send(2), tray.try_send(3)), (Ok(()), Ok(()), Err(3)));
-        assert_eq!(tray.try_recv(), Some(1));
-        assert_eq!(tray.try_send(4), Ok(()));
-        assert_eq!((tray.try_recv(), tray.try_recv(), tray.try_recv()), (Some(2), Some(4), None));
+    fn frames_and_files_go_round_with_their_memory() {
+        let (_, mut seats) = Desk::new(0, 100).unwrap();
+        let mut file = seats.hub.file().unwrap();
+        let [left, right] = &mut seats.grabs;
+        file.pair = FramePair { left: left.free.pop().unwrap(), right: right.free.pop().unwrap() };
+        assert!(file.pair.left.bytes.is_empty() && file.pair.left.bytes.capacity() >= 100);
+        let free = left.free.slots();
+        seats.cold.outbox.send(Letter::Filed(file));
+        let Some(Letter::Filed(file)) = seats.hub.letter() else { panic!("the letter that was sent") };
+        seats.hub.give_back(file);
+        assert_eq!(seats.grabs[0].free.slots(), free + 1);
+        assert!(seats.hub.letter().is_none());
+    }
+
+    #[test]
+    fn a_full_ring_of_papers_gives_back_what_it_cannot_take() {
+        let (_, mut seats) = Desk::new(0, 0).unwrap();
+        let note = || Paper::Note(Note::Ready, Timestamp(0));
+        assert_eq!(std::iter::from_fn(|| seats.hub.tell(note()).ok()).count(), PAPERS);
+        assert!(matches!(seats.hub.tell(note()), Err(Paper::Note(Note::Ready, _))));
+        assert!(seats.cold.papers.pop().is_ok());
+        assert!(seats.hub.tell(note()).is_ok());
     }
 
     #[test]
     fn no_letter_is_lost_while_the_arms_thread_is_away() {
-        let desk = Desk::new(0, 0).unwrap();
-        let room = std::iter::from_fn(|| desk.letters.try_send(Letter::Ended(Side::Left)).ok()).count();
+        let (desk, mut seats) = Desk::new(0, 0).unwrap();
+        let sent = 3 * LETTERS;
         std::thread::scope(|scope| {
-            let sender = scope.spawn(|| desk.send(Letter::Ended(Side::Right)));
-            desk.letters_waker.wait(None);
-            let taken = std::iter::from_fn(|| desk.letters.try_recv()).count();
+            let outbox = &mut seats.recognise;
+            let sender = scope.spawn(move || (0..sent).for_each(|_| outbox.send(Letter::Ended(Side::Right))));
+            let mut taken = 0;
+            while taken < sent {
+                desk.letters_waker.wait(None);
+                taken += std::iter::from_fn(|| seats.hub.letter()).count();
+            }
             sender.join().unwrap();
-            let rest = std::iter::from_fn(|| desk.letters.try_recv()).count();
-            assert_eq!(taken + rest, room + 1);
+            assert!(seats.hub.letter().is_none());
         });
+    }
+
+    #[test]
+    fn who_sends_to_a_thread_that_has_ended_does_not_wait() {
+        let (_, seats) = Desk::new(0, 0).unwrap();
+        let Seats { mut recognise, hub, .. } = seats;
+        drop(hub);
+        (0..3 * LETTERS).for_each(|_| recognise.send(Letter::Ended(Side::Right)));
     }
 }

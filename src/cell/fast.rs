@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use super::carrier::Carrier;
 use super::core::Ending;
-use super::desk::{Desk, Letter, Paper};
+use super::desk::{GrabSeat, Letter, Work};
 use super::recogniser::recognise;
 use crate::camera::{Camera, Condition, Grab, Side};
 use crate::frame::Frame;
@@ -20,8 +20,8 @@ const TURNS_MAX: usize = 100_000;
 
 /// A session that does not wait for the clock.
 pub struct Fast<'a> {
-    /// Frames, files and letters.
-    pub desk: &'a Desk,
+    /// Where the frames come from and go to.
+    pub grabs: [GrabSeat; 2],
     /// Both sides of the session, which give a frame at every grab.
     pub cameras: [Camera; 2],
     /// Wakes the sides.
@@ -39,8 +39,8 @@ pub struct Fast<'a> {
 }
 
 impl Fast<'_> {
-    /// Plays it all; `asked_to_stop` is looked at between pairs, `cold` gets every paper.
-    pub fn run(mut self, asked_to_stop: impl Fn() -> bool, mut cold: impl FnMut(Option<Paper>)) -> Ending {
+    /// Plays it all; `asked_to_stop` is looked at between pairs, `cold` works off the papers.
+    pub fn run(mut self, asked_to_stop: impl Fn() -> bool, mut cold: impl FnMut()) -> Ending {
         let mut now = self.start;
         loop {
             now = self.live_until(now, now.after(self.period), &mut cold);
@@ -66,12 +66,7 @@ impl Fast<'_> {
     }
 
     /// Lets the arm and the core live until `until`.
-    fn live_until(
-        &mut self,
-        now: Timestamp,
-        until: Timestamp,
-        cold: &mut impl FnMut(Option<Paper>),
-    ) -> Timestamp {
+    fn live_until(&mut self, now: Timestamp, until: Timestamp, cold: &mut impl FnMut()) -> Timestamp {
         let mut now = now;
         self.carrier.turn(now);
         for _ in 0..TURNS_MAX {
@@ -88,7 +83,7 @@ impl Fast<'_> {
 
     /// Takes a side's next frame; whether there is none any more.
     fn grab(&mut self, side: Side, now: Timestamp) -> bool {
-        let Some(mut frame) = self.desk.pool.take() else { return false };
+        let Ok(mut frame) = self.grabs[side.index()].free.pop() else { return false };
         match self.cameras[side.index()].grab(&mut frame, Duration::ZERO) {
             Grab::Frame { condition, skipped } => {
                 frame.timestamp = now;
@@ -96,7 +91,7 @@ impl Fast<'_> {
                 false
             }
             Grab::Ended => {
-                self.desk.pool.give(frame);
+                self.carrier.give(side, frame);
                 self.carrier.letter(Letter::Ended(side), now);
                 true
             }
@@ -109,24 +104,19 @@ impl Fast<'_> {
     }
 
     fn recognise(&mut self, now: Timestamp) {
-        while let Some(work) = self.carrier.work.take() {
-            let number = work.job.pair.number;
-            let mut file = self.desk.files.pop().expect("papers are worked off after every pair");
-            let found = recognise(&mut self.recognizer, work, self.in_base, &mut file);
+        while let Some(mut work) = self.carrier.take_work() {
+            let found = recognise(&mut self.recognizer, &mut work, self.in_base);
+            let Work { job, mut file } = work;
             // Told on the session's time, as if it had begun when the pair was there.
             let took_ns = file.finished.since(file.begun);
             (file.begun, file.finished) = (now, Timestamp(now.0 + took_ns));
-            self.carrier.letter(Letter::Recognised(number, found, file), now);
+            self.carrier.letter(Letter::Recognised(job.pair.number, found, file), now);
         }
     }
 
-    fn clear_desk(&mut self, now: Timestamp, cold: &mut impl FnMut(Option<Paper>)) {
-        cold(None);
-        while let Some(paper) = self.desk.papers.try_recv() {
-            cold(Some(paper));
-        }
-        cold(None);
-        while let Some(letter) = self.desk.letters.try_recv() {
+    fn clear_desk(&mut self, now: Timestamp, cold: &mut impl FnMut()) {
+        cold();
+        while let Some(letter) = self.carrier.next_letter() {
             self.carrier.letter(letter, now);
         }
     }

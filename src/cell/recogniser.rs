@@ -7,12 +7,12 @@ use super::desk::{File, Work};
 use crate::recognize::{FoundPart, NoPick, Recognizer, Refusal};
 use crate::time::Timestamp;
 
-/// Recognises the pair of `work` into `file`. Grasps can be candidates only `in_base`: if the rig says where the
+/// Recognises the pair of `work` into its file. Grasps can be candidates only `in_base`: if the rig says where the
 /// cameras stand.
-pub fn recognise(recognizer: &mut Recognizer, work: Work, in_base: bool, file: &mut File) -> Found {
+pub fn recognise(recognizer: &mut Recognizer, work: &mut Work, in_base: bool) -> Found {
+    let Work { job, file } = work;
     file.begun = Timestamp::now();
-    file.pair = work.pair;
-    let result = recognizer.run(&file.pair, work.job.budget, work.job.seed, &mut file.recognition);
+    let result = recognizer.run(&file.pair, job.budget, job.seed, &mut file.recognition);
     file.refusal = result.err();
     file.finished = Timestamp::now();
     match &file.refusal {

@@ -7,7 +7,7 @@
 //! | arm | the core, the link to the arm | an eventfd and the link | `arm_priority` |
 //! | cold | print, draw, write | an eventfd | none |
 //!
-//! Between them lie bounded channels; who sends wakes whom it sends to. Nothing spins. A panic in any of them
+//! Between them lie wait-free rings ([`super::desk`]); who sends wakes whom it sends to. Nothing spins. A panic in any of them
 //! stops the cell: the arm is told to hold, then the panic goes on.
 
 use std::io;
@@ -16,19 +16,20 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{Builder, Scope};
 use std::time::Duration;
 
+use rtrb::{Consumer, Producer, RingBuffer};
 use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1, SIGUSR2};
 use signal_hook::iterator::Signals;
 
 use super::carrier::Carrier;
 use super::core::{Core, Ending, Event, Operator};
-use super::desk::{Desk, Letter, Paper, Work};
+use super::desk::{Desk, GrabSeat, Hub, Letter, Outbox, Work};
 use super::notify::Watchdog;
 use super::realtime::{Granted, Wish, apply};
 use super::recogniser::recognise;
 use crate::arm::Arm;
 use crate::camera::{Camera, Grab, Side};
 use crate::frame::Frame;
-use crate::handover::{Latest, Waker};
+use crate::handover::Waker;
 use crate::recognize::Recognizer;
 use crate::time::Timestamp;
 
@@ -122,6 +123,12 @@ pub struct ThreadRights {
 pub struct Live {
     /// What the threads share.
     pub desk: Arc<Desk>,
+    /// What each of them has for itself; the cold thread's is with whoever does the slow work.
+    pub grabs: [GrabSeat; 2],
+    /// The recogniser's.
+    pub recognise: Outbox,
+    /// The arm's thread's.
+    pub hub: Hub,
     /// What is asked from outside.
     pub controls: Arc<Controls>,
     /// Left and right.
@@ -143,7 +150,6 @@ pub struct Live {
 /// Between the arm's thread and the recogniser.
 #[derive(Debug)]
 struct Bench {
-    work: Latest<Work>,
     waker: Waker,
     quit: AtomicBool,
 }
@@ -172,18 +178,33 @@ impl Drop for QuitAll<'_> {
 }
 
 /// Runs a cell until it ends. `told` hears once from every hot thread what it was granted; `cold` does the slow work
-/// in a thread of its own: it is called for every paper, and once with `None` when nothing waits.
+/// in a thread of its own: it is called whenever there may be something to do, and once at the end.
 ///
 /// # Errors
 /// A thread that cannot be started.
 pub fn run<C>(live: Live, told: impl Fn(&str, ThreadRights) + Sync, mut cold: C) -> io::Result<Ending>
 where
-    C: FnMut(Option<Paper>) + Send,
+    C: FnMut() + Send,
 {
-    let Live { desk, controls, cameras, steps, mut recognizer, in_base, core, arm, wishes } = live;
+    let Live {
+        desk,
+        grabs,
+        recognise,
+        hub,
+        controls,
+        cameras,
+        steps,
+        mut recognizer,
+        in_base,
+        core,
+        arm,
+        wishes,
+    } = live;
     let (desk, controls, told) = (&*desk, &*controls, &told);
-    let bench = &Bench { work: Latest::new(), waker: Waker::new()?, quit: AtomicBool::new(false) };
+    let bench = &Bench { waker: Waker::new()?, quit: AtomicBool::new(false) };
     let cold_quit = &AtomicBool::new(false);
+    // The core orders one search at a time.
+    let (orders, ordered) = RingBuffer::new(1);
     std::thread::scope(|scope| {
         let cold_thread = Builder::new().name("cold".into()).spawn_scoped(scope, move || {
             let _guard = StopOnPanic(controls);
@@ -194,18 +215,18 @@ where
         let stack = wishes.stack_bytes;
         hot(scope, "recognise", stack, &wishes.recognise, told, move || {
             let _guard = StopOnPanic(controls);
-            recognise_loop(desk, bench, &mut recognizer, in_base);
+            recognise_loop(bench, ordered, recognise, &mut recognizer, in_base);
         })?;
-        for (side, mut camera) in Side::BOTH.into_iter().zip(cameras) {
+        for ((side, mut camera), mut seat) in Side::BOTH.into_iter().zip(cameras).zip(grabs) {
             hot(scope, side.name(), stack, &wishes.grab, told, move || {
                 let _guard = StopOnPanic(controls);
-                grab_loop(desk, bench, side, &mut camera);
+                grab_loop(bench, side, &mut camera, &mut seat);
             })?;
         }
-        let carrier = Carrier::new(desk, core, arm);
+        let carrier = Carrier::new(desk, hub, core, arm);
         let arm_thread = hot(scope, "arm", stack, &wishes.arm, told, move || {
             let _quit_all = quit_all;
-            arm_loop(desk, controls, bench, steps.as_ref(), carrier)
+            arm_loop(desk, controls, bench, steps.as_ref(), carrier, orders)
         })?;
         let ending = arm_thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
         cold_thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
@@ -230,14 +251,14 @@ fn hot<'scope, 'env, T: Send + 'scope>(
     })
 }
 
-fn grab_loop(desk: &Desk, bench: &Bench, side: Side, camera: &mut Camera) {
+fn grab_loop(bench: &Bench, side: Side, camera: &mut Camera, seat: &mut GrabSeat) {
     let mut frame = Frame::default();
     let mut have = false;
     while !bench.quit.load(Ordering::Acquire) {
         if !have {
-            match desk.pool.take() {
-                Some(free) => (frame, have) = (free, true),
-                None => {
+            match seat.free.pop() {
+                Ok(free) => (frame, have) = (free, true),
+                Err(_) => {
                     // All frames are under way; the driver keeps the newest meanwhile.
                     std::thread::sleep(Duration::from_millis(1));
                     continue;
@@ -247,29 +268,33 @@ fn grab_loop(desk: &Desk, bench: &Bench, side: Side, camera: &mut Camera) {
         match camera.grab(&mut frame, GRAB_TIMEOUT) {
             Grab::Frame { condition, skipped } => {
                 have = false;
-                desk.send(Letter::Frame(side, std::mem::take(&mut frame), condition, skipped));
+                seat.outbox.send(Letter::Frame(side, std::mem::take(&mut frame), condition, skipped));
             }
             Grab::TimedOut => {}
-            Grab::Lost(trouble) => desk.send(Letter::Lost(side, trouble)),
-            Grab::Back => desk.send(Letter::Back(side)),
+            Grab::Lost(trouble) => seat.outbox.send(Letter::Lost(side, trouble)),
+            Grab::Back => seat.outbox.send(Letter::Back(side)),
             Grab::Ended => {
-                desk.send(Letter::Ended(side));
+                seat.outbox.send(Letter::Ended(side));
                 break;
             }
         }
     }
 }
 
-fn recognise_loop(desk: &Desk, bench: &Bench, recognizer: &mut Recognizer, in_base: bool) {
+fn recognise_loop(
+    bench: &Bench,
+    mut ordered: Consumer<Work>,
+    mut outbox: Outbox,
+    recognizer: &mut Recognizer,
+    in_base: bool,
+) {
     let mut watchdog = Watchdog::from_environment();
     while !bench.quit.load(Ordering::Acquire) {
         watchdog.kick(Timestamp::now());
         bench.waker.wait(Some(watchdog.every()));
-        let Some(work) = bench.work.take() else { continue };
-        let number = work.job.pair.number;
-        let mut file = desk.files.pop().expect("the carrier leaves a file for the recogniser");
-        let found = recognise(recognizer, work, in_base, &mut file);
-        desk.send(Letter::Recognised(number, found, file));
+        let Ok(mut work) = ordered.pop() else { continue };
+        let found = recognise(recognizer, &mut work, in_base);
+        outbox.send(Letter::Recognised(work.job.pair.number, found, work.file));
     }
 }
 
@@ -279,6 +304,7 @@ fn arm_loop(
     bench: &Bench,
     steps: Option<&[Arc<Waker>; 2]>,
     mut carrier: Carrier<'_>,
+    mut orders: Producer<Work>,
 ) -> Ending {
     let mut stepped = Timestamp::now();
     loop {
@@ -293,12 +319,12 @@ fn arm_loop(
         if controls.stop.load(Ordering::Acquire) {
             carrier.event(&Event::Stop, now);
         }
-        while let Some(letter) = desk.letters.try_recv() {
+        while let Some(letter) = carrier.next_letter() {
             carrier.letter(letter, Timestamp::now());
-            pass_on(&mut carrier, bench);
+            pass_on(&mut carrier, bench, &mut orders);
         }
         carrier.turn(Timestamp::now());
-        pass_on(&mut carrier, bench);
+        pass_on(&mut carrier, bench, &mut orders);
         if let Some(ending) = carrier.ending() {
             return ending;
         }
@@ -316,23 +342,18 @@ fn arm_loop(
     }
 }
 
-fn pass_on(carrier: &mut Carrier<'_>, bench: &Bench) {
-    if let Some(work) = carrier.work.take() {
-        let replaced = bench.work.put(work);
-        assert!(replaced.is_none(), "the core orders one search at a time");
+fn pass_on(carrier: &mut Carrier<'_>, bench: &Bench, orders: &mut Producer<Work>) {
+    if let Some(work) = carrier.take_work() {
+        assert!(orders.push(work).is_ok(), "the core orders one search at a time");
         bench.waker.wake();
     }
 }
 
-fn cold_loop(desk: &Desk, quit: &AtomicBool, cold: &mut impl FnMut(Option<Paper>)) {
+fn cold_loop(desk: &Desk, quit: &AtomicBool, cold: &mut impl FnMut()) {
     loop {
         desk.papers_waker.wait(Some(Duration::from_millis(500)));
         let ending = quit.load(Ordering::Acquire);
-        cold(None);
-        while let Some(paper) = desk.papers.try_recv() {
-            cold(Some(paper));
-        }
-        cold(None);
+        cold();
         if ending {
             return;
         }

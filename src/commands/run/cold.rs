@@ -6,43 +6,34 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
-use nalgebra::Isometry3;
 use serde_json::json;
 
 use super::args::{Format, Overlays, RunArgs};
+use super::paint::{Painter, Studio};
 use super::summary::{self, Endurance};
 use super::{RunError, place};
 use crate::cell::core::{Note, PairReport, TargetEnd};
-use crate::cell::desk::{Desk, File, Letter, Paper};
+use crate::cell::desk::{ColdSeat, Desk, File, Letter, Paper};
 use crate::cell::notify;
 use crate::cell::realtime::resident_bytes;
 use crate::config::{Backend, Cell};
 use crate::part::Part;
-use crate::picture::Picture;
-use crate::recognize::{FoundPart, Params, Side, StageTimes};
-use crate::report::overlay::Overlay;
+use crate::recognize::FoundPart;
 use crate::rig::Rig;
 use crate::time::Timestamp;
-use crate::vision::decode::{Decoder, Output};
 
 /// systemd is told a new status at most this often, ns.
 const STATUS_NS: i64 = 2_000_000_000;
 
-/// Draws overlay pictures.
-struct Painter {
-    folder: PathBuf,
-    pictures: [Picture; 2],
-    decoders: [Decoder; 2],
-    rig: Rig,
-    base_from_left: Isometry3<f64>,
-}
-
 /// Everything that the cold thread has to do with.
 pub(super) struct Cold {
     desk: Arc<Desk>,
+    seat: ColdSeat,
     format: Format,
     bar: ProgressBar,
-    painter: Option<Painter>,
+    studio: Option<Studio>,
+    /// Pairs that may be with the painter while the next one is recognised.
+    undrawn_max: usize,
     parts: Vec<Part>,
     names: Vec<String>,
     state_file: Option<PathBuf>,
@@ -61,23 +52,30 @@ impl Cold {
     pub(super) fn new(
         args: &RunArgs,
         cell: &Cell,
-        desk: Arc<Desk>,
+        (desk, seat): (Arc<Desk>, ColdSeat),
         rig: &Rig,
         parts: Vec<Part>,
         names: Vec<String>,
         period: Duration,
+        fast: bool,
     ) -> Result<Self, RunError> {
         let replayed = cell.cameras.backend == Backend::Replay;
         let draw = args.soak.is_none() && args.overlay.map_or(replayed, |overlay| overlay == Overlays::All);
-        let painter = match draw {
-            true => Some(Painter::new(args.out.clone(), cell.recognition_params(), *rig)?),
+        let studio = match draw {
+            true => {
+                let painter = Painter::new(args.out.clone(), cell.recognition_params(), *rig, parts.clone())?;
+                let waker = Arc::clone(&desk.papers_waker);
+                Some(Studio::open(painter, waker).map_err(RunError::System)?)
+            }
             false => None,
         };
         let total = args.soak.unwrap_or(names.len() as u64);
         Ok(Self {
             format: args.format,
             bar: progress_bar(total, args.format),
-            painter,
+            studio,
+            // A session on its own time leaves no picture out: it waits for the painter.
+            undrawn_max: if fast { 1 } else { usize::MAX },
             found: vec![0; parts.len()],
             parts,
             names,
@@ -89,22 +87,40 @@ impl Cold {
             status_at: Timestamp::default(),
             failed: None,
             desk,
+            seat,
         })
     }
 
-    /// Works off a paper, and before it whatever has to be on the disk.
-    pub(super) fn take(&mut self, paper: Option<Paper>) {
-        while let Some(record) = self.desk.records.try_recv() {
+    /// Works off all papers that wait, and before each whatever has to be on the disk.
+    pub(super) fn work(&mut self) {
+        loop {
+            self.write_records();
+            self.fetch_drawn();
+            match self.seat.papers.pop() {
+                Ok(Paper::Note(note, at)) => self.note(&note, at),
+                Ok(Paper::Pair(report, file)) => self.pair(&report, file),
+                Err(_) => break,
+            }
+        }
+        self.tell_status();
+    }
+
+    fn write_records(&mut self) {
+        while let Ok(record) = self.seat.records.pop() {
             let written = self.state_file.as_ref().map_or(Ok(()), |path| place::write(path, &record));
             if let Err(reason) = &written {
                 self.log(|| tracing::error!(%reason, "cannot write the place record"));
             }
-            self.desk.send(Letter::Persisted(record, written.is_ok()));
+            self.seat.outbox.send(Letter::Persisted(record, written.is_ok()));
         }
-        match paper {
-            None => self.tell_status(),
-            Some(Paper::Note(note, at)) => self.note(&note, at),
-            Some(Paper::Pair(report, file)) => self.pair(&report, file),
+    }
+
+    fn fetch_drawn(&mut self) {
+        while let Some((file, result)) = self.studio.as_mut().and_then(|s| s.drawn(self.undrawn_max)) {
+            self.seat.outbox.send(Letter::Filed(file));
+            if self.failed.is_none() {
+                self.failed = result.err();
+            }
         }
     }
 
@@ -117,6 +133,17 @@ impl Cold {
     }
 
     fn note(&self, note: &Note, at: Timestamp) {
+        // A soak would say so some hundred thousand times; its table counts them.
+        let routine = matches!(
+            note,
+            Note::Sent { .. }
+                | Note::Accepted { .. }
+                | Note::Ready
+                | Note::Ended { end: TargetEnd::Done, .. }
+        );
+        if routine && self.endurance.is_some() {
+            return;
+        }
         let at_ms = at.0 / 1_000_000;
         match *note {
             Note::Pair(_) => {}
@@ -156,13 +183,10 @@ impl Cold {
         } else {
             self.tell_pair(report, file.as_deref(), kept);
         }
-        if let Some(file) = file {
-            if self.failed.is_none()
-                && let Err(e) = self.paint(report, &file)
-            {
-                self.failed = Some(e);
-            }
-            self.desk.give_back(file);
+        if let Some(file) = file
+            && let Err(file) = self.order_picture(report, file)
+        {
+            self.seat.outbox.send(Letter::Filed(file));
         }
     }
 
@@ -228,15 +252,16 @@ impl Cold {
         .to_string()
     }
 
-    fn paint(&mut self, report: &PairReport, file: &File) -> Result<(), RunError> {
+    /// Has the pair drawn; gives the file back where it is not.
+    fn order_picture(&mut self, report: &PairReport, file: Box<File>) -> Result<(), Box<File>> {
         let name = self.name(report);
         let caption = match &report.outcome {
             Ok(sent) => format!("target {}", sent.id),
             Err(why) => format!("no target: {why}"),
         };
-        match &mut self.painter {
-            Some(painter) => painter.paint(&name, file, &self.parts, &caption),
-            None => Ok(()),
+        match &mut self.studio {
+            Some(studio) if self.failed.is_none() => studio.order(name, caption, file),
+            _ => Err(file),
         }
     }
 
@@ -255,6 +280,8 @@ impl Cold {
     /// The table, and what went wrong, if anything did.
     pub(super) fn finish(mut self, resident_bytes: u64) -> Result<(), RunError> {
         self.bar.finish_and_clear();
+        let drawn = self.studio.take().map_or(Ok(()), Studio::close);
+        self.failed = self.failed.or(drawn.err());
         let found: Vec<_> =
             self.parts.iter().map(|part| part.name.as_str()).zip(self.found.clone()).collect();
         let telemetry = &self.desk.telemetry;
@@ -291,44 +318,4 @@ fn progress_bar(total: u64, format: Format) -> ProgressBar {
     let bar = if total > 0 { ProgressBar::new(total) } else { ProgressBar::new_spinner() };
     let style = ProgressStyle::with_template("{elapsed_precise} {wide_bar} {pos}/{len} pairs");
     bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
-}
-
-impl Painter {
-    fn new(folder: PathBuf, params: Params, rig: Rig) -> Result<Self, RunError> {
-        std::fs::create_dir_all(&folder)
-            .map_err(|reason| RunError::Unwritable { path: folder.clone(), reason })?;
-        let [left, right] = params.binarize.clone();
-        let decoder = || Decoder::new(Output::Rgb, rig.left.width, rig.left.height);
-        Ok(Self {
-            folder,
-            pictures: [Picture::new(left, &params, rig.left)?, Picture::new(right, &params, rig.right)?],
-            decoders: [decoder(), decoder()],
-            base_from_left: params.grasp.base_from_left.unwrap_or_default(),
-            rig,
-        })
-    }
-
-    fn paint(&mut self, name: &str, file: &File, parts: &[Part], caption: &str) -> Result<(), RunError> {
-        let [left, right] = &mut self.decoders;
-        let (Ok(left), Ok(right)) = (left.run(&file.pair.left), right.run(&file.pair.right)) else {
-            // The line of the pair says that it cannot be decoded; there is nothing to draw on.
-            return Ok(());
-        };
-        let mut stages = StageTimes::default();
-        for (picture, frame, side) in [(0, &file.pair.left, Side::Left), (1, &file.pair.right, Side::Right)] {
-            // Refused before by the recogniser; what was made up to there is drawn.
-            let _ = self.pictures[picture].run(frame, side, &mut stages);
-        }
-        let overlay = Overlay {
-            frames: [left, right],
-            graphs: [self.pictures[0].graph(), self.pictures[1].graph()],
-            rig: &self.rig,
-            parts,
-            found: &file.recognition.parts,
-            base_from_left: self.base_from_left,
-            caption,
-        };
-        let path = self.folder.join(format!("{name}.png"));
-        overlay.draw().write_png(&path).map_err(|reason| RunError::Unwritable { path, reason })
-    }
 }

@@ -3,6 +3,7 @@
 mod args;
 mod cold;
 mod error;
+mod paint;
 mod place;
 mod setup;
 mod summary;
@@ -16,6 +17,7 @@ use self::cold::Cold;
 use self::setup::Setup;
 use crate::cell::carrier::Carrier;
 use crate::cell::core::Ending;
+use crate::cell::desk::Seats;
 use crate::cell::fast::Fast;
 use crate::cell::notify;
 use crate::cell::realtime::{Granted, lock_memory, resident_bytes};
@@ -27,24 +29,42 @@ use crate::time::Timestamp;
 /// # Errors
 /// [`RunError`]; its exit code says whether the job or what was given to it is to blame.
 pub fn run(args: &RunArgs) -> Result<(), RunError> {
-    let Setup { cell, core, arm, cameras, steps, recognizer, desk, wishes, fast, period, rig, parts, names } =
-        Setup::new(args)?;
+    let Setup {
+        cell,
+        core,
+        arm,
+        cameras,
+        steps,
+        recognizer,
+        desk,
+        seats,
+        wishes,
+        fast,
+        period,
+        rig,
+        parts,
+        names,
+    } = Setup::new(args)?;
     let controls = Arc::new(Controls::new(Arc::clone(&desk)));
     threads::obey_signals(Arc::clone(&controls)).map_err(RunError::System)?;
     let in_base = cell.rig.base_from_left.is_some();
-    let mut cold = Cold::new(args, &cell, Arc::clone(&desk), &rig, parts, names, period)?;
+    let Seats { grabs, recognise, cold, hub } = seats;
+    let mut cold = Cold::new(args, &cell, (Arc::clone(&desk), cold), &rig, parts, names, period, fast)?;
     notify::ready();
     let ending = if fast {
         let sides: Vec<_> = steps.into_iter().flatten().collect();
         let next = || sides.iter().for_each(|side| side.wake());
-        let carrier = Carrier::new(&desk, core, arm);
+        let carrier = Carrier::new(&desk, hub, core, arm);
         let start = Timestamp::now();
-        let fast = Fast { desk: &desk, cameras, next: &next, period, recognizer, in_base, carrier, start };
-        fast.run(|| controls.is_stopped(), |paper| cold.take(paper))
+        let fast = Fast { grabs, cameras, next: &next, period, recognizer, in_base, carrier, start };
+        fast.run(|| controls.is_stopped(), || cold.work())
     } else {
         say_memory(if cell.realtime.lock_memory { lock_memory() } else { Granted::NotAsked });
         let live = Live {
             desk: Arc::clone(&desk),
+            grabs,
+            recognise,
+            hub,
             controls,
             cameras,
             steps,
@@ -56,7 +76,7 @@ pub fn run(args: &RunArgs) -> Result<(), RunError> {
         };
         let told = |name: &str, rights: threads::ThreadRights| say_rights(name, &rights);
         let cold = &mut cold;
-        threads::run(live, told, move |paper| cold.take(paper)).map_err(RunError::System)?
+        threads::run(live, told, move || cold.work()).map_err(RunError::System)?
     };
     notify::stopping();
     cold.finish(resident_bytes())?;

@@ -14,7 +14,7 @@ use crate::arm::Arm;
 use crate::camera::replay::Pace;
 use crate::camera::{Camera, ReplayCamera};
 use crate::cell::core::{Core, Params, PlacePattern, PlaceRecord};
-use crate::cell::desk::Desk;
+use crate::cell::desk::{Desk, Seats};
 use crate::cell::realtime::{Wish, hot_cores};
 use crate::cell::threads::Wishes;
 use crate::config::{self, Backend, Cell, PlaceGrid, Realtime, Scheduling};
@@ -49,6 +49,7 @@ pub(super) struct Setup {
     pub(super) steps: Option<[Arc<Waker>; 2]>,
     pub(super) recognizer: Recognizer,
     pub(super) desk: Arc<Desk>,
+    pub(super) seats: Seats,
     pub(super) wishes: Wishes,
     /// On the session's own time.
     pub(super) fast: bool,
@@ -100,7 +101,8 @@ impl Setup {
             None if !eyes.replayed => 2,
             _ => eyes.pairs.clamp(2, OVERLAY_FILES_MAX),
         };
-        let desk = Arc::new(Desk::new(files, eyes.frame_bytes).map_err(RunError::System)?);
+        let (desk, seats) = Desk::new(files, eyes.frame_bytes).map_err(RunError::System)?;
+        let desk = Arc::new(desk);
         let wishes = wishes(&cell.realtime);
         let Eyes { cameras, steps, period, names, .. } = eyes;
         Ok(Self {
@@ -111,6 +113,7 @@ impl Setup {
             steps,
             recognizer,
             desk,
+            seats,
             wishes,
             fast,
             period,
