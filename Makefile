@@ -45,6 +45,7 @@ soak: build ## endurance: SOAK_PAIRS as fast as possible, SOAK_PAIRS_30HZ at 30 
 
 campaign: needs ## seeded fault campaigns against every link of the arm: CAMPAIGN_RUNS seeds
 	CAMPAIGN_RUNS=$(CAMPAIGN_RUNS) $(CARGO) test --release --locked -p firmware-bridge --test arm campaign
+	PICKCELL_CAMPAIGN_RUNS=$(CAMPAIGN_RUNS) $(CARGO) test --release --locked --test cell_campaign
 
 vm: needs ## the cell in a virtual machine with V4L2 cameras (needs ../shared/v4l2-vm; VM_ARGS=--short)
 	tests/vm/run.sh $(VM_ARGS)
