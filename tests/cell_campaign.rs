@@ -41,6 +41,8 @@ struct Told {
     ends: HashMap<u64, u32>,
     late: u32,
     done: u32,
+    /// The newest ones.
+    notes: Vec<Note>,
 }
 
 struct Campaign<'a> {
@@ -81,6 +83,10 @@ impl Campaign<'_> {
 
     fn read(&mut self) {
         while let Ok(paper) = self.cold.papers.pop() {
+            if let Paper::Note(note, _) = &paper {
+                self.told.notes.truncate(11);
+                self.told.notes.insert(0, *note);
+            }
             match paper {
                 Paper::Pair(report, file) => {
                     self.told.ordered.extend(report.outcome.ok().map(|sent| sent.id));
@@ -168,7 +174,12 @@ fn run(seed: u64, settings: &Settings) -> (u32, u64) {
             break;
         }
     }
-    assert!(campaign.told.done > before, "seed {seed} {faults:?}: it picks again once the faults have ended");
+    assert!(
+        campaign.told.done > before,
+        "seed {seed} {faults:?}: it picks again once the faults have ended; {:?}, {:?}",
+        campaign.carrier.state(),
+        campaign.told.notes
+    );
     campaign.carrier.event(&Event::Stop, campaign.now);
     for _ in 0..40 {
         if campaign.carrier.ending().is_none() {
@@ -188,7 +199,8 @@ fn run(seed: u64, settings: &Settings) -> (u32, u64) {
 #[test]
 fn whatever_the_arm_does_every_target_ends_once_and_the_cell_goes_on() {
     let number = |name: &str, unset: u64| {
-        std::env::var(name).map_or(unset, |text| text.parse().unwrap_or_else(|_| panic!("{name} is a number")))
+        std::env::var(name)
+            .map_or(unset, |text| text.parse().unwrap_or_else(|_| panic!("{name} is a number")))
     };
     let (first, runs) = (number("PICKCELL_CAMPAIGN_FIRST", 0), number("PICKCELL_CAMPAIGN_RUNS", 128));
     let cells = [DialectName::Own, DialectName::Grbl, DialectName::Marlin, DialectName::Uarm].map(settings);

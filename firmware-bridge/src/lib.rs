@@ -9,6 +9,7 @@
 //! | [`dialect`] | one state machine per language of arms: messages in, bytes out, and back | hot, pure |
 //! | [`gcode`] | the dialects of G-code: move templates, Grbl, Marlin, uArm | hot but for the templates, pure |
 //! | [`link`] | serial line, shared memory, simulated arm: what carries it | edge |
+//! | [`realtime`] | rights that hot threads ask the system for, of the driver too | edge |
 //! | [`simulate`] | the firmware's end of each language, with faults on demand | pure |
 //!
 //! Nothing here knows the driver. Pure modules get time (nanoseconds of `CLOCK_MONOTONIC`) and randomness as
@@ -28,5 +29,7 @@ pub mod gate;
 pub mod gcode;
 #[cfg(feature = "std")]
 pub mod link;
+#[cfg(feature = "std")]
+pub mod realtime;
 #[cfg(feature = "std")]
 pub mod simulate;

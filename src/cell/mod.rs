@@ -13,6 +13,6 @@ pub mod desk;
 pub mod fast;
 pub mod notify;
 pub mod pairing;
-pub mod realtime;
+pub use firmware_bridge::realtime;
 pub mod recogniser;
 pub mod threads;

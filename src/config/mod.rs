@@ -33,9 +33,10 @@ pub use crate::vision::binarize::ColourRange;
 pub use crate::vision::thin::Algorithm as ThinMethod;
 pub use cameras::{Backend, CameraSettings, Cameras, ControlValue, PICTURE_SIDE_PX_MAX, Pace, RATE_HZ_MAX};
 pub use error::{ConfigError, Location};
+pub use firmware_bridge::realtime::Scheduling;
 pub use recognition::{Gate, Harmony, Recognition, SearchMethod};
 pub use source::Source;
-pub use tables::{PlaceGrid, Realtime, Rig, Scheduling};
+pub use tables::{PlaceGrid, Realtime, Rig};
 
 /// One cell, checked. Files that it names exist; what is in them is read by the rooms they belong to.
 #[derive(Clone, Debug)]

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use firmware_bridge::config::{Arm, Gripper, Settings, Workspace};
+use firmware_bridge::realtime::Scheduling;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 
@@ -176,17 +177,6 @@ impl WrittenPlace {
             state: source.resolve(&self.state),
         })
     }
-}
-
-/// How the hot threads are scheduled.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Scheduling {
-    /// SCHED_FIFO where the system grants it.
-    #[default]
-    Fifo,
-    /// The normal scheduler.
-    Normal,
 }
 
 /// `[realtime]`: rights that the threads ask the system for. What is not granted is said in the log.

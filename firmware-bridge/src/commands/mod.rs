@@ -29,6 +29,8 @@ pub(crate) enum Failure {
     NotALink(PathBuf),
     #[error("cannot make the link {}: {reason}; choose another name for --pty", path.display())]
     MakeLink { path: PathBuf, reason: std::io::Error },
+    #[error("--park-mm {0} is no point: give x,y,z in mm, e.g. --park-mm 0,-150,200")]
+    Park(String),
     #[error("cannot make a pty: {0}; is /dev/pts mounted?")]
     Pty(std::io::Error),
     #[error("the pty broke: {0}")]
@@ -51,6 +53,7 @@ impl Failure {
             | Failure::Link(_)
             | Failure::NotALink(_)
             | Failure::MakeLink { .. }
+            | Failure::Park(_)
             | Failure::WrongVersion { .. }
             | Failure::WrongDialect => 2.into(),
             Failure::Pty(_) | Failure::PtyBroken(_) | Failure::Signals(_) => 1.into(),

@@ -6,19 +6,23 @@ use firmware_bridge::config::Settings;
 use firmware_bridge::link::shared::{BridgeEnd, CellRecord, Ports, Side};
 use firmware_bridge::link::{SerialLink, life_number, monotonic_ns, wait_for};
 use firmware_bridge::message::{Command, Report};
+use firmware_bridge::realtime::{self, ArmThread, Granted};
 use rustix::fd::AsFd;
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 
 /// How long the arm has to confirm the last hold, ns.
 const FAREWELL_NS: i64 = 500_000_000;
+/// So much of the stack is touched before the first target, bytes; the bridge uses less.
+const PREFAULT_BYTES: usize = 256 << 10;
 
 #[derive(Args)]
 #[command(after_help = "Example:\n  firmware-bridge run --cell cell.toml\n\n\
                         The driver's cell.toml has link = \"shared-memory\" and the same arm.service; arm.port, arm.baud, \
                         arm.dialect and arm.moves are this side's.")]
 pub(crate) struct Arguments {
-    /// The cell: [arm], [workspace] and [gripper] are read, arm.link is not.
+    /// The cell: [arm], [workspace], [gripper] and, of [realtime], what concerns the arm's thread are read, arm.link
+    /// is not.
     #[arg(long, default_value = "cell.toml", value_name = "FILE")]
     cell: PathBuf,
 }
@@ -35,14 +39,24 @@ struct Bridge {
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let signals = super::catch_signals()?;
     let settings = Settings::read(&arguments.cell)?;
+    let thread = ArmThread::read(&arguments.cell)?;
     let arm = SerialLink::open(&settings, 1)?;
     let ports =
         Ports::open(&settings.arm.service, Side::Bridge).map_err(firmware_bridge::link::LinkError::from)?;
     tracing::info!(port = %arm.path().display(), service = settings.arm.service, "the bridge stands");
+    ask_for_rights(&thread);
     let mut bridge = Bridge { end: BridgeEnd::new(&settings, life_number(2)), ports, arm, met: false };
     let result = bridge.serve(&signals);
     bridge.say_farewell();
     result
+}
+
+/// Asks the system for what the arm's thread is to have, and says what came of it.
+fn ask_for_rights(thread: &ArmThread) {
+    let memory = if thread.lock_memory { realtime::lock_memory() } else { Granted::NotAsked };
+    tracing::info!(granted = %memory, "locked memory");
+    let rights = realtime::apply(&thread.wish(PREFAULT_BYTES));
+    tracing::info!(thread = "arm", sched_fifo = %rights.fifo, cores = %rights.cores, "real-time rights");
 }
 
 impl Bridge {

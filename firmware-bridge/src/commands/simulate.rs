@@ -34,15 +34,12 @@ pub(crate) struct Arguments {
     /// What goes wrong now and then, separated by commas.
     #[arg(long, value_delimiter = ',', value_name = "FAULT,…")]
     faults: Vec<Fault>,
-    /// Rest position out of the cameras' view, mm in the base frame.
-    #[arg(
-        long,
-        default_value = "0,0,200",
-        value_delimiter = ',',
-        num_args = 3,
-        allow_negative_numbers = true
-    )]
-    park_mm: Vec<f64>,
+    /// Rest position out of the cameras' view, mm in the base frame: x,y,z, also as three values.
+    #[arg(long, default_value = "0,0,200", allow_hyphen_values = true, value_name = "X,Y,Z")]
+    park_mm: String,
+    /// The second and third value where `--park-mm` is followed by three.
+    #[arg(hide = true, num_args = 0..=2, allow_negative_numbers = true)]
+    park_rest_mm: Vec<String>,
     /// Speed of the line; answers take as long as they would on it.
     #[arg(long, default_value_t = 115_200, value_parser = clap::value_parser!(u32).range(1200..=4_000_000))]
     baud: u32,
@@ -106,8 +103,8 @@ fn open_pty() -> Result<(OwnedFd, OwnedFd, PathBuf), Errno> {
 
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let signals = super::catch_signals()?;
+    let park_mm = park(&arguments.park_mm, &arguments.park_rest_mm)?;
     let pty = Pty::new(&arguments.pty)?;
-    let park_mm = [arguments.park_mm[0], arguments.park_mm[1], arguments.park_mm[2]];
     let mut arm =
         SimulatedArm::new(arguments.dialect, park_mm, Faults::new(arguments.seed, &arguments.faults));
     tracing::info!(link = %pty.link.display(), device = %pty.device.display(), "the arm listens");
@@ -150,6 +147,16 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         wait_for(&[Some(pty.master.as_fd()), Some(signals.as_fd())], until_ns);
     }
     Ok(())
+}
+
+/// Three numbers, between commas, spaces or both.
+fn park(first: &str, rest: &[String]) -> Result<[f64; 3], Failure> {
+    let written = [first, &rest.join(" ")].join(" ");
+    let numbers = written.split([',', ' ']).filter(|word| !word.is_empty());
+    let numbers: Option<Vec<f64>> =
+        numbers.map(|word| word.parse().ok().filter(|value: &f64| value.abs() < 1e6)).collect();
+    let point: Option<[f64; 3]> = numbers.and_then(|numbers| numbers.try_into().ok());
+    point.ok_or_else(|| Failure::Park(written.trim().into()))
 }
 
 /// Runs a shell command beside the arm; the one before it is collected.
@@ -199,4 +206,33 @@ fn print_motion(motion: Motion, since_start_ns: i64, format: Format) {
         }
     };
     let _ = out.flush();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        arguments: Arguments,
+    }
+
+    fn parked(values: &[&str]) -> Result<[f64; 3], Failure> {
+        let line =
+            ["simulate", "--pty", "arm", "--park-mm"].iter().chain(values).chain(&["--dialect", "own"]);
+        let arguments = Line::try_parse_from(line).unwrap().arguments;
+        park(&arguments.park_mm, &arguments.park_rest_mm)
+    }
+
+    #[test]
+    fn the_rest_position_may_be_written_with_commas_or_spaces() {
+        for values in [&["-1,2.5,-3"][..], &["-1", "2.5", "-3"], &["-1,", "2.5,", "-3"], &["-1, 2.5, -3"]] {
+            assert_eq!(parked(values).unwrap(), [-1.0, 2.5, -3.0], "{values:?}");
+        }
+        let complaint = parked(&["1,2"]).unwrap_err().to_string();
+        assert_eq!(complaint, "--park-mm 1,2 is no point: give x,y,z in mm, e.g. --park-mm 0,-150,200");
+        assert!(parked(&["1,2,nan"]).is_err() && parked(&["1,2,3", "4"]).is_err());
+    }
 }

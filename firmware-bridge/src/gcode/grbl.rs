@@ -47,6 +47,9 @@ const SILENCE_MIN: i64 = 750 * MS;
 /// `Idle` for so long with a line unanswered: its answer is lost.
 const ANSWER_LOST: i64 = 1000 * MS;
 
+/// Handshakes that end with something foreign before it is another dialect.
+const DOUBTS_MAX: u8 = 2;
+
 /// What the wire is doing by itself.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Chore {
@@ -113,7 +116,12 @@ pub struct GrblWire {
     heard: i64,
     /// Handshakes without an answer.
     unanswered: u8,
+    /// Something was said that Grbl does not say.
     foreign: bool,
+    /// It last said a version before 1.1.
+    old_version: bool,
+    /// So many handshakes ended with either of them; one may be a byte that got lost.
+    doubts: u8,
     restarted: bool,
     /// Lines may be left in the controller.
     dirty: bool,
@@ -158,7 +166,11 @@ impl GrblWire {
         if let Some(status) = text.strip_prefix('<').and_then(|t| t.strip_suffix('>')) {
             return match Status::parse(status) {
                 Some(status) => self.status(&status, text, now, events),
-                None => events.garbage += text.len() as u32,
+                None => {
+                    // Grbl 0.9 and the uArm write commas.
+                    self.foreign |= ["Idle,", "Alarm,"].iter().any(|begin| status.starts_with(begin));
+                    events.garbage += text.len() as u32;
+                }
             };
         }
         if text == "ok" {
@@ -178,7 +190,7 @@ impl GrblWire {
                 self.rx_len = (len as usize).min(RX_LEN);
             }
         } else if let Some(version) = text.strip_prefix("[VER:") {
-            self.foreign |= !understood(version);
+            self.old_version = !understood(version);
         } else if text.starts_with('[') || text.starts_with('>') || text.starts_with('$') {
             // Messages, start-up lines, settings.
         } else {
@@ -197,9 +209,7 @@ impl GrblWire {
         self.offset_mm = None;
         self.dirty = false;
         self.locked = false;
-        if !understood(text.split_once(' ').map_or("", |(_, version)| version)) {
-            self.foreign = true;
-        }
+        self.old_version = !understood(text.split_once(' ').map_or("", |(_, version)| version));
         match self.chore {
             Chore::Closed => {}
             Chore::Settle { reset: Some(_) } => {
@@ -256,14 +266,24 @@ impl GrblWire {
         }
     }
 
+    /// A handshake that ended with something foreign: the second one is no accident.
+    fn doubt(&mut self, events: &mut Events) {
+        self.doubts += u8::from(self.foreign || self.old_version);
+        if self.doubts >= DOUBTS_MAX {
+            self.doubts = 0;
+            self.foreign = false;
+            events.push(Event::WrongDialect);
+        }
+    }
+
     fn up(&mut self, events: &mut Events) {
         self.unanswered = 0;
-        if self.foreign {
-            self.foreign = false;
+        if self.foreign || self.old_version {
             self.chore = Chore::Greet(self.heard);
-            self.next_ask = self.heard + 4 * ASK_AGAIN;
-            return events.push(Event::WrongDialect);
+            self.next_ask = self.heard + 2 * ASK_AGAIN;
+            return self.doubt(events);
         }
+        self.doubts = 0;
         self.chore = Chore::None;
         events.push(Event::Up { restarted: core::mem::take(&mut self.restarted), alarm: self.alarm });
     }

@@ -237,9 +237,25 @@ fn a_hold_at_the_arm_is_noticed_and_an_old_grbl_is_refused() {
     let mut desk = Desk::new("");
     desk.hear("\r\nGrbl 0.9j ['$' for help]\r\n");
     desk.status("Idle|MPos:0.000,0.000,0.000");
+    // A byte of the banner may have got lost: it is asked once more.
+    desk.hear("ok\r\n");
+    assert_eq!(desk.told(), []);
+    desk.wait(600);
     desk.hear("ok\r\n");
     assert_eq!(desk.told(), [Report::WrongDialect]);
     assert_eq!(desk.grbl.command(Command::Release, desk.now_ns), Err(Refusal::NotConnected));
+}
+
+#[test]
+fn a_version_that_lost_a_byte_is_asked_for_again() {
+    let mut desk = Desk::new("");
+    desk.hear("\r\nGrbl .1h ['$' for help]\r\n");
+    assert_eq!(desk.status("Idle|MPos:0.000,0.000,0.000"), "$I\\n");
+    desk.hear("[VER:1.0h.20190825:]\r\nok\r\n");
+    assert_eq!(desk.told(), []);
+    assert_eq!(desk.wait(600), "$I\\n");
+    desk.hear("[VER:1.1h.20190825:]\r\nok\r\n");
+    assert_eq!(desk.told(), [Report::Connected { session: 7, held_by: HeldBy::Start }]);
 }
 
 #[test]

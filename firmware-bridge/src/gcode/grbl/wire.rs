@@ -34,6 +34,8 @@ impl Wire for GrblWire {
             heard: 0,
             unanswered: 0,
             foreign: false,
+            old_version: false,
+            doubts: 0,
             restarted: false,
             dirty: false,
             alarm: None,
@@ -62,6 +64,7 @@ impl Wire for GrblWire {
         self.asked_since = None;
         self.unanswered = 0;
         self.foreign = false;
+        self.old_version = false;
         self.alarm = None;
         self.locked = false;
         self.heard = now;
@@ -97,9 +100,7 @@ impl Wire for GrblWire {
             }
             Chore::Greet(since) if now - since >= self.handshake => {
                 self.unanswered = self.unanswered.saturating_add(1);
-                if core::mem::take(&mut self.foreign) {
-                    events.push(Event::WrongDialect);
-                }
+                self.doubt(events);
                 self.asked_since = None;
                 // A limit alarm answers to nothing but a reset; nothing else is lost by one.
                 if self.unanswered.is_multiple_of(3) {

@@ -1,9 +1,14 @@
 //! Rights that the threads ask the system for: SCHED_FIFO, cores, locked and prefaulted memory.
 //!
-//! Takes what cell.toml asks for; gives what was granted, to be said in the log. The cell runs without any of it.
+//! Takes what cell.toml asks for; gives what was granted, to be said in the log. Driver and bridge run without any of
+//! it.
 
 use std::fmt;
+use std::path::Path;
 
+use serde::Deserialize;
+
+use crate::config::ConfigError;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use rustix::thread::{CpuSet, sched_setaffinity};
 
@@ -54,6 +59,75 @@ pub struct Rights {
     pub fifo: Granted,
     /// The cores.
     pub cores: Granted,
+}
+
+/// How hot threads are scheduled.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Scheduling {
+    /// SCHED_FIFO where the system grants it.
+    #[default]
+    Fifo,
+    /// The normal scheduler.
+    Normal,
+}
+
+/// What `[realtime]` of a cell.toml says of the thread that has the arm; its other keys are the driver's.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(default)]
+pub struct ArmThread {
+    /// How it is scheduled.
+    pub scheduling: Scheduling,
+    /// Its SCHED_FIFO priority, 10 to 40.
+    pub arm_priority: u8,
+    /// Cores it may run on; empty: all but the last one.
+    pub cores: Vec<usize>,
+    /// Lock all memory.
+    pub lock_memory: bool,
+}
+
+impl Default for ArmThread {
+    fn default() -> Self {
+        Self { scheduling: Scheduling::Fifo, arm_priority: 40, cores: Vec::new(), lock_memory: true }
+    }
+}
+
+impl ArmThread {
+    /// Reads and checks the table; where there is none, what is asked for unless something else is said.
+    ///
+    /// # Errors
+    /// A file that cannot be read, a value of the wrong type, a priority out of range.
+    pub fn read(path: &Path) -> Result<Self, ConfigError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| ConfigError::Read { path: path.into(), source })?;
+        Self::parse(&text)
+    }
+
+    fn parse(text: &str) -> Result<Self, ConfigError> {
+        #[derive(Deserialize)]
+        struct File {
+            #[serde(default)]
+            realtime: ArmThread,
+        }
+        let thread = toml::from_str::<File>(text)?.realtime;
+        if !(10..=40).contains(&thread.arm_priority) {
+            return Err(ConfigError::Value {
+                key: "realtime.arm_priority",
+                value: thread.arm_priority.to_string(),
+                allowed: "10 to 40 (interrupt threads have 50)".into(),
+            });
+        }
+        Ok(thread)
+    }
+
+    /// What the thread asks the system for.
+    pub fn wish(&self, prefault_bytes: usize) -> Wish {
+        Wish {
+            fifo_priority: (self.scheduling == Scheduling::Fifo).then_some(self.arm_priority),
+            cores: if self.cores.is_empty() { hot_cores() } else { self.cores.clone() },
+            prefault_bytes,
+        }
+    }
 }
 
 /// Applies a wish to the calling thread.
@@ -144,6 +218,20 @@ mod tests {
     fn a_thread_without_wishes_asks_for_nothing() {
         let wish = Wish { fifo_priority: None, cores: vec![], prefault_bytes: 64 << 10 };
         assert_eq!(apply(&wish), Rights { fifo: Granted::NotAsked, cores: Granted::NotAsked });
+    }
+
+    #[test]
+    fn the_bridge_reads_what_concerns_its_thread_and_leaves_the_rest_to_the_driver() {
+        assert_eq!(ArmThread::parse("[arm]\n").unwrap(), ArmThread::default());
+        let text =
+            "[realtime]\nscheduling = \"normal\"\ngrab_priority = 31\ncores = [0]\nlock_memory = false\n";
+        let thread = ArmThread::parse(text).unwrap();
+        assert!(!thread.lock_memory);
+        assert_eq!(thread.wish(64), Wish { fifo_priority: None, cores: vec![0], prefault_bytes: 64 });
+        assert_eq!(
+            ArmThread::parse("[realtime]\narm_priority = 90\n").unwrap_err().to_string(),
+            "realtime.arm_priority = 90 is not allowed: it must be 10 to 40 (interrupt threads have 50)"
+        );
     }
 
     #[test]
