@@ -5,7 +5,6 @@
 mod prepared;
 mod result;
 
-use std::ops::Range;
 
 use arrayvec::ArrayVec;
 use nalgebra::{Isometry3, Matrix3, Vector2, Vector3};
@@ -109,6 +108,8 @@ pub struct Recognizer {
     pool: Vec<Hypothesis>,
     refine: Refine,
     ridges: [Ridges; 2],
+    /// What no part explains for certain.
+    area: ridge::Area,
     lines: Lines,
     explanations: Vec<Explanation>,
     explained: usize,
@@ -132,6 +133,7 @@ impl Recognizer {
             search: Search::new(params.search, params.gate, parts.len()),
             pool: Vec::with_capacity(HYPOTHESES_MAX),
             refine: Refine::new(lit(&params), &rig),
+            area: ridge::Area::new(rig.left.height.max(rig.right.height)),
             ridges: [&rig.left, &rig.right].map(|c| Ridges::new(params.ridges, c.width, c.height)),
             lines: Lines::new(
                 lines::Params { depth_mm: params.gate.depth_mm, ..params.lines },
@@ -256,7 +258,7 @@ impl Recognizer {
     /// Fills the pool with rough poses that straight wire holds which nothing explains for certain; says whether there
     /// are any.
     fn search_ridges(&mut self, pair: &FramePair) -> bool {
-        let Self { pictures, rig, parts, pool, params, ridges, lines, claims, .. } = self;
+        let Self { pictures, rig, parts, pool, params, ridges, area, lines, claims, .. } = self;
         pool.clear();
         for (side, frame) in [&pair.left, &pair.right].into_iter().enumerate() {
             let Some(luma) = LumaView::new(pictures[side].raw(frame)) else { return false };
@@ -265,7 +267,9 @@ impl Recognizer {
                 .iter()
                 .map(|p| p.least_seen_radii(params.select.seen_min))
                 .fold(f64::INFINITY, f64::min);
-            let Some(area) = unexplained(&pictures[side], &claims[side], least * half) else { return false };
+            if unexplained_px(&pictures[side], &claims[side], area) < least * half {
+                return false;
+            }
             ridges[side].run(luma, pictures[side].mask(), area, params.binarize[side].inverted, half);
         }
         let down = grasp::down_in_left(&params.grasp);
@@ -511,23 +515,18 @@ fn half_width_px(picture: &Picture) -> f64 {
     f64::from(quarter.fold(f32::INFINITY, f32::min).min(HALF_WIDTH_PX_MAX))
 }
 
-/// Columns and rows of the skeleton that no part claims; `None` where it is shorter than `length_px`.
-fn unexplained(picture: &Picture, claims: &ClaimMap, length_px: f64) -> Option<[Range<usize>; 2]> {
-    let (mut from, mut to, mut count) = ([usize::MAX; 2], [0; 2], 0usize);
-    for point in &picture.graph().points {
-        if claims.is_claimed_by_any(&Vector2::new(point[0].into(), point[1].into())) {
-            continue;
-        }
-        count += 1;
-        for axis in 0..2 {
-            from[axis] = from[axis].min(usize::from(point[axis]));
-            to[axis] = to[axis].max(usize::from(point[axis]) + 1);
+/// Length of the skeleton that no part claims, in pixels; `area` becomes where it is.
+fn unexplained_px(picture: &Picture, claims: &ClaimMap, area: &mut ridge::Area) -> f64 {
+    area.clear();
+    let mut count = 0;
+    for &[x, y] in &picture.graph().points {
+        if !claims.is_claimed_by_any(&Vector2::new(x.into(), y.into())) {
+            count += 1;
+            // The mask reaches about half a wire farther than its skeleton, and what is put back there.
+            area.include(x.into(), y.into(), MARGIN_PX);
         }
     }
-    // The mask reaches about half a wire farther than its skeleton, and what is put back there.
-    let margin = MARGIN_PX;
-    (count as f64 >= length_px)
-        .then(|| [0, 1].map(|axis| from[axis].saturating_sub(margin)..to[axis] + margin))
+    f64::from(count)
 }
 
 /// How far beyond the skeleton wire is looked for.

@@ -10,8 +10,6 @@
 //! points lie on one line with it; where a neighbour on top hides them, over a gap that is foreground and no longer than
 //! what has been seen.
 
-use std::ops::Range;
-
 use nalgebra::{Matrix2, Vector2};
 
 use super::bits::BitImage;
@@ -77,15 +75,52 @@ const TAPS_MAX: usize = 2 * REACH_MAX + 1;
 /// Least standard deviation of the Gaussian in pixels: below, its samples are no Gaussian.
 const SIGMA_PX_MIN: f64 = 1.0;
 
+/// Rows of a tile of [`Area`].
+const TILE_ROWS: usize = 16;
+
+/// The part of a picture that is looked at: tiles of 64 x 16 pixels.
+#[derive(Clone, Debug)]
+pub struct Area {
+    /// For each 16 rows a bit a strip of 64 columns; the last bit is for all strips beyond it.
+    tiles: Vec<u64>,
+}
+
+impl Area {
+    /// Nothing of a picture of this height.
+    pub fn new(height: usize) -> Self {
+        Self { tiles: vec![0; height.div_ceil(TILE_ROWS)] }
+    }
+
+    /// Nothing.
+    pub fn clear(&mut self) {
+        self.tiles.fill(0);
+    }
+
+    /// Adds the tiles within `margin_px` of a pixel.
+    pub fn include(&mut self, x: usize, y: usize, margin_px: usize) {
+        let strip = |x: usize| (x / 64).min(63);
+        let (from, to) = (strip(x.saturating_sub(margin_px)), strip(x + margin_px));
+        let strips = (u64::MAX << from) & (u64::MAX >> (63 - to));
+        let rows = y.saturating_sub(margin_px) / TILE_ROWS..=(y + margin_px) / TILE_ROWS;
+        for tiles in self.tiles.iter_mut().skip(*rows.start()).take(rows.count()) {
+            *tiles |= strips;
+        }
+    }
+
+    fn has(&self, strip: usize, y: usize) -> bool {
+        self.tiles.get(y / TILE_ROWS).is_some_and(|tiles| tiles >> strip.min(63) & 1 == 1)
+    }
+}
+
 /// Workspace.
 #[derive(Clone, Debug)]
 pub struct Ridges {
     params: Params,
     width: usize,
-    bytes: Vec<u8>,
-    padded: Vec<f32>,
-    /// For each tap a row smoothed along x: plain, first and second derivative.
-    rows: [Vec<f32>; 3],
+    /// For each strip and tap 64 pixels of a row smoothed along x: plain, first and second derivative.
+    rows: Vec<[[f32; 64]; 3]>,
+    /// For each strip the first row that was not smoothed.
+    smoothed: Vec<usize>,
     points: Vec<Point>,
     /// Index + 1 of the point of each pixel.
     map: Vec<u32>,
@@ -126,9 +161,8 @@ impl Ridges {
         Self {
             params,
             width,
-            bytes: vec![0; width],
-            padded: vec![0.0; width + 2 * REACH_MAX],
-            rows: [0, 1, 2].map(|_| vec![0.0; width * TAPS_MAX]),
+            rows: vec![[[0.0; 64]; 3]; width.div_ceil(64) * TAPS_MAX],
+            smoothed: vec![0; width.div_ceil(64)],
             points: Vec::with_capacity(params.points_max),
             map: vec![0; width * height],
             stretches: Vec::with_capacity(params.stretches_max),
@@ -140,19 +174,12 @@ impl Ridges {
         &self.stretches
     }
 
-    /// Finds the stretches of wire about `half_width_px` thick to both sides of its middle, within `columns` and `rows`.
+    /// Finds the stretches of wire about `half_width_px` thick to both sides of its middle, within `area`.
     /// `dark`: the wire is darker than the floor.
     ///
     /// # Panics
     /// Where the sizes differ from those in [`Ridges::new`].
-    pub fn run(
-        &mut self,
-        luma: LumaView,
-        mask: &BitImage,
-        [columns, rows]: [Range<usize>; 2],
-        dark: bool,
-        half_width_px: f64,
-    ) {
+    pub fn run(&mut self, luma: LumaView, mask: &BitImage, area: &Area, dark: bool, half_width_px: f64) {
         assert_eq!((luma.width(), luma.width() * luma.height()), (self.width, self.map.len()), "size");
         for p in &self.points {
             self.map[pixel_of(p.at, self.width)] = 0;
@@ -161,11 +188,7 @@ impl Ridges {
         self.stretches.clear();
         let sigma =
             (self.params.sigma_half_widths * half_width_px).clamp(SIGMA_PX_MIN, REACH_MAX as f64 / 3.0);
-        let columns = columns.start.min(self.width)..columns.end.min(self.width);
-        let rows = rows.start..rows.end.min(luma.height());
-        if !columns.is_empty() {
-            self.find_points(luma, mask, columns, rows, dark, sigma);
-        }
+        self.find_points(luma, mask, area, dark, sigma);
         for seed in 0..self.points.len() {
             if self.stretches.len() == self.params.stretches_max {
                 return;
@@ -178,41 +201,25 @@ impl Ridges {
         }
     }
 
-    fn find_points(
-        &mut self,
-        luma: LumaView,
-        mask: &BitImage,
-        columns: Range<usize>,
-        rows: Range<usize>,
-        dark: bool,
-        sigma: f64,
-    ) {
+    fn find_points(&mut self, luma: LumaView, mask: &BitImage, area: &Area, dark: bool, sigma: f64) {
         let kernels = Kernels::new(sigma);
         let (reach, height) = (kernels.reach, luma.height());
         let scale = (sigma * sigma) as f32;
-        let mut filtered = 0;
-        let strips = columns.start / 64..columns.end.div_ceil(64);
-        let within = |s: usize| {
-            let from = columns.start.saturating_sub(64 * s).min(64) as u32;
-            let to = columns.end.saturating_sub(64 * s).min(64) as u32;
-            let below = |n: u32| u64::MAX.checked_shl(n).map_or(u64::MAX, |m| !m);
-            below(to) & !below(from)
-        };
-        for y in rows {
-            if strips.clone().all(|s| mask.strip(s)[y] & within(s) == 0) {
-                continue;
-            }
-            // Rows up to y + reach are needed; those from y - reach on may still be there.
-            let from = filtered.max(y.saturating_sub(reach));
-            let to = (y + reach).min(height - 1);
-            for row in from..=to {
-                self.filter_row(luma, row, columns.clone(), dark, &kernels);
-            }
-            filtered = filtered.max(to + 1);
-            for s in strips.clone() {
-                let mut word = mask.strip(s)[y] & within(s);
+        self.smoothed.fill(0);
+        for y in 0..height {
+            for strip in 0..self.smoothed.len() {
+                let mut word = mask.strip(strip)[y];
+                if word == 0 || !area.has(strip, y) {
+                    continue;
+                }
+                // Rows up to y + reach are needed; those from y - reach on may still be there.
+                let last = (y + reach).min(height - 1);
+                for row in self.smoothed[strip].max(y.saturating_sub(reach))..=last {
+                    self.smooth(luma, strip, row, dark, &kernels);
+                }
+                self.smoothed[strip] = last + 1;
                 while word != 0 {
-                    let x = 64 * s + word.trailing_zeros() as usize;
+                    let x = 64 * strip + word.trailing_zeros() as usize;
                     word &= word - 1;
                     self.look(x, y, height, &kernels, scale);
                 }
@@ -220,27 +227,28 @@ impl Ridges {
         }
     }
 
-    fn filter_row(&mut self, luma: LumaView, y: usize, columns: Range<usize>, dark: bool, kernels: &Kernels) {
+    /// Smooths 64 pixels of a row along x.
+    fn smooth(&mut self, luma: LumaView, strip: usize, y: usize, dark: bool, kernels: &Kernels) {
         let reach = kernels.reach;
-        // What lies beside the columns counts, too, as far as the picture goes.
-        let from = columns.start.saturating_sub(reach);
-        let to = (columns.end + reach).min(self.width);
-        let w = to - from;
-        luma.read_line(from, y, false, &mut self.bytes[..w]);
+        let from = (64 * strip).saturating_sub(reach);
+        let to = (64 * strip + 64 + reach).min(self.width);
+        let mut bytes = [0; 64 + 2 * REACH_MAX];
+        let bytes = &mut bytes[..to - from];
+        luma.read_line(from, y, false, bytes);
         let sign = if dark { -1.0 } else { 1.0 };
-        for (p, b) in self.padded[reach..reach + w].iter_mut().zip(&self.bytes) {
-            *p = sign * f32::from(*b);
+        // Beyond the picture its border goes on.
+        let mut padded = [0.0; 64 + 2 * REACH_MAX];
+        let before = reach - (64 * strip - from);
+        for (k, p) in padded.iter_mut().enumerate() {
+            *p = sign * f32::from(bytes[k.saturating_sub(before).min(bytes.len() - 1)]);
         }
-        let (first, last) = (self.padded[reach], self.padded[reach + w - 1]);
-        self.padded[..reach].fill(first);
-        self.padded[reach + w..w + 2 * reach].fill(last);
-        let slot = (y % TAPS_MAX) * self.width + from;
-        for (rows, taps) in self.rows.iter_mut().zip(&kernels.taps) {
-            let out = &mut rows[slot..slot + w];
-            out.fill(0.0);
-            for (k, &tap) in taps[..=2 * reach].iter().enumerate() {
-                for (o, p) in out.iter_mut().zip(&self.padded[k..k + w]) {
-                    *o += tap * p;
+        let out = &mut self.rows[strip * TAPS_MAX + y % TAPS_MAX];
+        *out = [[0.0; 64]; 3];
+        for k in 0..=2 * reach {
+            let shifted: &[f32; 64] = padded[k..].first_chunk().expect("64 pixels after every tap");
+            for (smoothed, taps) in out.iter_mut().zip(&kernels.taps) {
+                for (o, p) in smoothed.iter_mut().zip(shifted) {
+                    *o += taps[k] * p;
                 }
             }
         }
@@ -251,8 +259,8 @@ impl Ridges {
         let (mut gx, mut gy, mut gxx, mut gxy, mut gyy) = (0f32, 0f32, 0f32, 0f32, 0f32);
         for k in 0..=2 * kernels.reach {
             let row = (y + k).saturating_sub(kernels.reach).min(height - 1);
-            let at = (row % TAPS_MAX) * self.width + x;
-            let [plain, first, second] = [0, 1, 2].map(|d: usize| self.rows[d][at]);
+            let smoothed = &self.rows[x / 64 * TAPS_MAX + row % TAPS_MAX];
+            let [plain, first, second] = [0, 1, 2].map(|d: usize| smoothed[d][x % 64]);
             let [g, g1, g2] = [0, 1, 2].map(|d: usize| kernels.taps[d][k]);
             gx += g * first;
             gy += g1 * plain;
@@ -260,15 +268,16 @@ impl Ridges {
             gxy += g1 * first;
             gyy += g2 * plain;
         }
-        let half = ((gxx - gyy) / 2.0).hypot(gxy);
+        let length = |x: f32, y: f32| (x * x + y * y).sqrt();
+        let half = length((gxx - gyy) / 2.0, gxy);
         let curvature = (gxx + gyy) / 2.0 - half;
         if -curvature * scale < self.params.strength_min {
             return;
         }
         // The eigenvector of the most negative curvature, from the row of the matrix that is longer.
         let (a, b) = ((gxy, curvature - gxx), (curvature - gyy, gxy));
-        let (nx, ny) = if a.0.hypot(a.1) > b.0.hypot(b.1) { a } else { b };
-        let norm = nx.hypot(ny);
+        let (nx, ny) = if length(a.0, a.1) > length(b.0, b.1) { a } else { b };
+        let norm = length(nx, ny);
         if norm < 1e-6 {
             return;
         }
@@ -431,8 +440,14 @@ mod tests {
     fn stretches(wires: &[[[f64; 2]; 2]]) -> Vec<Stretch> {
         let (frame, mask) = picture(wires);
         let mut ridges = Ridges::new(Params::default(), frame.width, frame.height);
-        ridges.run(LumaView::new(&frame).unwrap(), &mask, [0..160, 0..120], false, 3.5);
+        ridges.run(LumaView::new(&frame).unwrap(), &mask, &whole(), false, 3.5);
         ridges.stretches().to_vec()
+    }
+
+    fn whole() -> Area {
+        let mut area = Area::new(120);
+        area.include(80, 60, 80);
+        area
     }
 
     fn shows(stretch: &Stretch, wire: &[[f64; 2]; 2]) -> bool {
@@ -461,10 +476,14 @@ mod tests {
         let (frame, mask) = picture(&[[[20.0, 60.0], [140.0, 60.0]]]);
         let mut ridges = Ridges::new(Params::default(), frame.width, frame.height);
         let luma = LumaView::new(&frame).unwrap();
-        ridges.run(luma, &mask, [70..100, 0..120], false, 3.5);
+        let mut area = Area::new(frame.height);
+        area.include(90, 60, 10);
+        ridges.run(luma, &mask, &area, false, 3.5);
         let [from, to] = ridges.stretches()[0].ends_px;
-        assert!(from.x > 68.0 && to.x < 101.0 && (to.x - from.x) > 25.0, "{from} {to}");
-        ridges.run(luma, &mask, [0..160, 80..120], false, 3.5);
+        assert!(from.x > 62.0 && to.x < 129.0 && (to.x - from.x) > 58.0, "{from} {to}");
+        area.clear();
+        area.include(90, 100, 10);
+        ridges.run(luma, &mask, &area, false, 3.5);
         assert!(ridges.stretches().is_empty());
     }
 
@@ -473,12 +492,12 @@ mod tests {
         let (frame, mask) = picture(&[[[20.0, 60.0], [140.0, 60.0]]]);
         let luma = LumaView::new(&frame).unwrap();
         let mut ridges = Ridges::new(Params::default(), frame.width, frame.height);
-        ridges.run(luma, &mask, [0..160, 0..120], false, 3.5);
+        ridges.run(luma, &mask, &whole(), false, 3.5);
         let first = ridges.stretches().to_vec();
         assert!(!first.is_empty());
-        ridges.run(luma, &BitImage::new(frame.width, frame.height), [0..160, 0..120], false, 3.5);
+        ridges.run(luma, &BitImage::new(frame.width, frame.height), &whole(), false, 3.5);
         assert!(ridges.stretches().is_empty());
-        ridges.run(luma, &mask, [0..160, 0..120], false, 3.5);
+        ridges.run(luma, &mask, &whole(), false, 3.5);
         assert_eq!(ridges.stretches(), first);
     }
 }
