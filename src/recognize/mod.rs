@@ -5,7 +5,6 @@
 mod prepared;
 mod result;
 
-
 use arrayvec::ArrayVec;
 use nalgebra::{Isometry3, Matrix3, Vector2, Vector3};
 

@@ -10,10 +10,17 @@
 //! points lie on one line with it; where a neighbour on top hides them, over a gap that is foreground and no longer than
 //! what has been seen.
 
+mod area;
+mod points;
+
 use nalgebra::{Matrix2, Vector2};
 
 use super::bits::BitImage;
+use super::level::Level;
 use crate::frame::LumaView;
+use points::{Finder, Point};
+
+pub use area::Area;
 
 /// How ridges are found and followed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -62,97 +69,16 @@ pub struct Stretch {
     pub seen_px: f64,
 }
 
-#[derive(Clone, Copy, Debug)]
-struct Point {
-    at: [f32; 2],
-    along: [f32; 2],
-    taken: bool,
-}
-
-/// Widest half of the Gaussian's window, in pixels.
-const REACH_MAX: usize = 12;
-const TAPS_MAX: usize = 2 * REACH_MAX + 1;
-/// Least standard deviation of the Gaussian in pixels: below, its samples are no Gaussian.
-const SIGMA_PX_MIN: f64 = 1.0;
-
-/// Rows of a tile of [`Area`].
-const TILE_ROWS: usize = 16;
-
-/// The part of a picture that is looked at: tiles of 64 x 16 pixels.
-#[derive(Clone, Debug)]
-pub struct Area {
-    /// For each 16 rows a bit a strip of 64 columns; the last bit is for all strips beyond it.
-    tiles: Vec<u64>,
-}
-
-impl Area {
-    /// Nothing of a picture of this height.
-    pub fn new(height: usize) -> Self {
-        Self { tiles: vec![0; height.div_ceil(TILE_ROWS)] }
-    }
-
-    /// Nothing.
-    pub fn clear(&mut self) {
-        self.tiles.fill(0);
-    }
-
-    /// Adds the tiles within `margin_px` of a pixel.
-    pub fn include(&mut self, x: usize, y: usize, margin_px: usize) {
-        let strip = |x: usize| (x / 64).min(63);
-        let (from, to) = (strip(x.saturating_sub(margin_px)), strip(x + margin_px));
-        let strips = (u64::MAX << from) & (u64::MAX >> (63 - to));
-        let rows = y.saturating_sub(margin_px) / TILE_ROWS..=(y + margin_px) / TILE_ROWS;
-        for tiles in self.tiles.iter_mut().skip(*rows.start()).take(rows.count()) {
-            *tiles |= strips;
-        }
-    }
-
-    fn has(&self, strip: usize, y: usize) -> bool {
-        self.tiles.get(y / TILE_ROWS).is_some_and(|tiles| tiles >> strip.min(63) & 1 == 1)
-    }
-}
-
 /// Workspace.
 #[derive(Clone, Debug)]
 pub struct Ridges {
     params: Params,
     width: usize,
-    /// For each strip and tap 64 pixels of a row smoothed along x: plain, first and second derivative.
-    rows: Vec<[[f32; 64]; 3]>,
-    /// For each strip the first row that was not smoothed.
-    smoothed: Vec<usize>,
+    finder: Finder,
     points: Vec<Point>,
     /// Index + 1 of the point of each pixel.
     map: Vec<u32>,
     stretches: Vec<Stretch>,
-}
-
-/// A Gaussian and its derivatives, sampled.
-struct Kernels {
-    reach: usize,
-    taps: [[f32; TAPS_MAX]; 3],
-}
-
-impl Kernels {
-    fn new(sigma: f64) -> Self {
-        let reach = ((3.0 * sigma).ceil() as usize).min(REACH_MAX);
-        let mut taps = [[0.0; TAPS_MAX]; 3];
-        let weight = |t: f64| (-t * t / (2.0 * sigma * sigma)).exp();
-        let offset = |k: usize| k as f64 - reach as f64;
-        let sum: f64 = (0..=2 * reach).map(|k| weight(offset(k))).sum();
-        for k in 0..=2 * reach {
-            let t = offset(k);
-            let g = weight(t) / sum;
-            // Correlated, not convolved: the sign of the first derivative is turned.
-            taps[0][k] = g as f32;
-            taps[1][k] = (g * t / (sigma * sigma)) as f32;
-            taps[2][k] = (g * (t * t / (sigma * sigma) - 1.0) / (sigma * sigma)) as f32;
-        }
-        // What cutting the window off leaves of a flat picture's second derivative.
-        let rest = taps[2].iter().sum::<f32>() / (2 * reach + 1) as f32;
-        taps[2][..=2 * reach].iter_mut().for_each(|t| *t -= rest);
-        Self { reach, taps }
-    }
 }
 
 impl Ridges {
@@ -161,8 +87,7 @@ impl Ridges {
         Self {
             params,
             width,
-            rows: vec![[[0.0; 64]; 3]; width.div_ceil(64) * TAPS_MAX],
-            smoothed: vec![0; width.div_ceil(64)],
+            finder: Finder::new(params.strength_min, width, Level::detect()),
             points: Vec::with_capacity(params.points_max),
             map: vec![0; width * height],
             stretches: Vec::with_capacity(params.stretches_max),
@@ -186,9 +111,11 @@ impl Ridges {
         }
         self.points.clear();
         self.stretches.clear();
-        let sigma =
-            (self.params.sigma_half_widths * half_width_px).clamp(SIGMA_PX_MIN, REACH_MAX as f64 / 3.0);
-        self.find_points(luma, mask, area, dark, sigma);
+        let sigma = self.params.sigma_half_widths * half_width_px;
+        self.finder.run(luma, mask, area, dark, sigma, &mut self.points);
+        for (p, number) in self.points.iter().zip(1..) {
+            self.map[pixel_of(p.at, self.width)] = number;
+        }
         for seed in 0..self.points.len() {
             if self.stretches.len() == self.params.stretches_max {
                 return;
@@ -198,97 +125,6 @@ impl Ridges {
             {
                 self.stretches.push(stretch);
             }
-        }
-    }
-
-    fn find_points(&mut self, luma: LumaView, mask: &BitImage, area: &Area, dark: bool, sigma: f64) {
-        let kernels = Kernels::new(sigma);
-        let (reach, height) = (kernels.reach, luma.height());
-        let scale = (sigma * sigma) as f32;
-        self.smoothed.fill(0);
-        for y in 0..height {
-            for strip in 0..self.smoothed.len() {
-                let mut word = mask.strip(strip)[y];
-                if word == 0 || !area.has(strip, y) {
-                    continue;
-                }
-                // Rows up to y + reach are needed; those from y - reach on may still be there.
-                let last = (y + reach).min(height - 1);
-                for row in self.smoothed[strip].max(y.saturating_sub(reach))..=last {
-                    self.smooth(luma, strip, row, dark, &kernels);
-                }
-                self.smoothed[strip] = last + 1;
-                while word != 0 {
-                    let x = 64 * strip + word.trailing_zeros() as usize;
-                    word &= word - 1;
-                    self.look(x, y, height, &kernels, scale);
-                }
-            }
-        }
-    }
-
-    /// Smooths 64 pixels of a row along x.
-    fn smooth(&mut self, luma: LumaView, strip: usize, y: usize, dark: bool, kernels: &Kernels) {
-        let reach = kernels.reach;
-        let from = (64 * strip).saturating_sub(reach);
-        let to = (64 * strip + 64 + reach).min(self.width);
-        let mut bytes = [0; 64 + 2 * REACH_MAX];
-        let bytes = &mut bytes[..to - from];
-        luma.read_line(from, y, false, bytes);
-        let sign = if dark { -1.0 } else { 1.0 };
-        // Beyond the picture its border goes on.
-        let mut padded = [0.0; 64 + 2 * REACH_MAX];
-        let before = reach - (64 * strip - from);
-        for (k, p) in padded.iter_mut().enumerate() {
-            *p = sign * f32::from(bytes[k.saturating_sub(before).min(bytes.len() - 1)]);
-        }
-        let out = &mut self.rows[strip * TAPS_MAX + y % TAPS_MAX];
-        *out = [[0.0; 64]; 3];
-        for k in 0..=2 * reach {
-            let shifted: &[f32; 64] = padded[k..].first_chunk().expect("64 pixels after every tap");
-            for (smoothed, taps) in out.iter_mut().zip(&kernels.taps) {
-                for (o, p) in smoothed.iter_mut().zip(shifted) {
-                    *o += taps[k] * p;
-                }
-            }
-        }
-    }
-
-    /// Notes the pixel where a ridge passes through it.
-    fn look(&mut self, x: usize, y: usize, height: usize, kernels: &Kernels, scale: f32) {
-        let (mut gx, mut gy, mut gxx, mut gxy, mut gyy) = (0f32, 0f32, 0f32, 0f32, 0f32);
-        for k in 0..=2 * kernels.reach {
-            let row = (y + k).saturating_sub(kernels.reach).min(height - 1);
-            let smoothed = &self.rows[x / 64 * TAPS_MAX + row % TAPS_MAX];
-            let [plain, first, second] = [0, 1, 2].map(|d: usize| smoothed[d][x % 64]);
-            let [g, g1, g2] = [0, 1, 2].map(|d: usize| kernels.taps[d][k]);
-            gx += g * first;
-            gy += g1 * plain;
-            gxx += g * second;
-            gxy += g1 * first;
-            gyy += g2 * plain;
-        }
-        let length = |x: f32, y: f32| (x * x + y * y).sqrt();
-        let half = length((gxx - gyy) / 2.0, gxy);
-        let curvature = (gxx + gyy) / 2.0 - half;
-        if -curvature * scale < self.params.strength_min {
-            return;
-        }
-        // The eigenvector of the most negative curvature, from the row of the matrix that is longer.
-        let (a, b) = ((gxy, curvature - gxx), (curvature - gyy, gxy));
-        let (nx, ny) = if length(a.0, a.1) > length(b.0, b.1) { a } else { b };
-        let norm = length(nx, ny);
-        if norm < 1e-6 {
-            return;
-        }
-        let (nx, ny) = (nx / norm, ny / norm);
-        let t = -(gx * nx + gy * ny) / curvature;
-        // A little over half a pixel, so that no ridge slips between two.
-        if (t * nx).abs() <= 0.6 && (t * ny).abs() <= 0.6 && self.points.len() < self.params.points_max {
-            // Kept to the pixel, so that the map finds it again.
-            let at = [x as f32 + (t * nx).clamp(-0.49, 0.49), y as f32 + (t * ny).clamp(-0.49, 0.49)];
-            self.points.push(Point { at, along: [-ny, nx], taken: false });
-            self.map[y * self.width + x] = self.points.len() as u32;
         }
     }
 

@@ -1,0 +1,283 @@
+//! The points of ridges: pixels through which the middle of a bright line goes.
+//!
+//! Takes luma, mask and area; gives [`Point`]s in the order of strips and rows; owns the smoothed rows. The sums go
+//! over 64 pixels or 16 at a time, in whatever registers the machine has; all levels give the same bits.
+
+use super::Area;
+use crate::frame::LumaView;
+use crate::vision::bits::BitImage;
+use crate::vision::level::Level;
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Point {
+    pub(super) at: [f32; 2],
+    pub(super) along: [f32; 2],
+    pub(super) taken: bool,
+}
+
+/// Widest half of the Gaussian's window, in pixels.
+const REACH_MAX: usize = 12;
+const TAPS_MAX: usize = 2 * REACH_MAX + 1;
+/// Least standard deviation of the Gaussian in pixels: below, its samples are no Gaussian.
+const SIGMA_PX_MIN: f64 = 1.0;
+
+/// A Gaussian and its derivatives, sampled.
+struct Kernels {
+    reach: usize,
+    taps: [[f32; TAPS_MAX]; 3],
+}
+
+impl Kernels {
+    fn new(sigma: f64) -> Self {
+        let reach = ((3.0 * sigma).ceil() as usize).min(REACH_MAX);
+        let mut taps = [[0.0; TAPS_MAX]; 3];
+        let weight = |t: f64| (-t * t / (2.0 * sigma * sigma)).exp();
+        let offset = |k: usize| k as f64 - reach as f64;
+        let sum: f64 = (0..=2 * reach).map(|k| weight(offset(k))).sum();
+        for k in 0..=2 * reach {
+            let t = offset(k);
+            let g = weight(t) / sum;
+            // Correlated, not convolved: the sign of the first derivative is turned.
+            taps[0][k] = g as f32;
+            taps[1][k] = (g * t / (sigma * sigma)) as f32;
+            taps[2][k] = (g * (t * t / (sigma * sigma) - 1.0) / (sigma * sigma)) as f32;
+        }
+        // What cutting the window off leaves of a flat picture's second derivative.
+        let rest = taps[2].iter().sum::<f32>() / (2 * reach + 1) as f32;
+        taps[2][..=2 * reach].iter_mut().for_each(|t| *t -= rest);
+        Self { reach, taps }
+    }
+}
+
+/// Pixels whose derivatives are summed at a time.
+const GROUP: usize = 16;
+
+/// Finds the points.
+#[derive(Clone, Debug)]
+pub(super) struct Finder {
+    strength_min: f32,
+    level: Level,
+    width: usize,
+    /// For each strip and tap 64 pixels of a row smoothed along x: plain, first and second derivative.
+    rows: Vec<[[f32; 64]; 3]>,
+    /// For each strip the first row that was not smoothed.
+    smoothed: Vec<usize>,
+}
+
+/// What is looked for where.
+struct Task<'a> {
+    luma: LumaView<'a>,
+    mask: &'a BitImage,
+    area: &'a Area,
+    sign: f32,
+    kernels: Kernels,
+    /// The Gaussian's variance.
+    scale: f32,
+}
+
+impl Finder {
+    pub(super) fn new(strength_min: f32, width: usize, level: Level) -> Self {
+        let strips = width.div_ceil(64);
+        Self {
+            strength_min,
+            level,
+            width,
+            rows: vec![[[0.0; 64]; 3]; strips * TAPS_MAX],
+            smoothed: vec![0; strips],
+        }
+    }
+
+    /// Appends the points to `points`, as many as it has room for. `sigma` is the Gaussian's, in pixels.
+    pub(super) fn run(
+        &mut self,
+        luma: LumaView,
+        mask: &BitImage,
+        area: &Area,
+        dark: bool,
+        sigma: f64,
+        points: &mut Vec<Point>,
+    ) {
+        let sigma = sigma.clamp(SIGMA_PX_MIN, REACH_MAX as f64 / 3.0);
+        let sign = if dark { -1.0 } else { 1.0 };
+        let task =
+            Task { luma, mask, area, sign, kernels: Kernels::new(sigma), scale: (sigma * sigma) as f32 };
+        match self.level {
+            // SAFETY: `Level::detect` and `Level::available` name only levels that the machine has.
+            #[cfg(target_arch = "x86_64")]
+            Level::Avx512 => unsafe { self.find_avx512(&task, points) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            Level::Avx2 => unsafe { self.find_avx2(&task, points) },
+            _ => self.find(&task, points),
+        }
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl")]
+    fn find_avx512(&mut self, task: &Task, points: &mut Vec<Point>) {
+        self.find(task, points);
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn find_avx2(&mut self, task: &Task, points: &mut Vec<Point>) {
+        self.find(task, points);
+    }
+
+    #[inline(always)]
+    fn find(&mut self, task: &Task, points: &mut Vec<Point>) {
+        let (reach, height) = (task.kernels.reach, task.luma.height());
+        self.smoothed.fill(0);
+        for y in 0..height {
+            for strip in 0..self.smoothed.len() {
+                let word = task.mask.strip(strip)[y];
+                if word == 0 || !task.area.has(strip, y) {
+                    continue;
+                }
+                // Rows up to y + reach are needed; those from y - reach on may still be there.
+                let last = (y + reach).min(height - 1);
+                for row in self.smoothed[strip].max(y.saturating_sub(reach))..=last {
+                    self.smooth(task, strip, row);
+                }
+                self.smoothed[strip] = last + 1;
+                for first in (0..64).step_by(GROUP) {
+                    let pixels = word >> first & ((1 << GROUP) - 1);
+                    if pixels != 0 {
+                        self.look(task, 64 * strip + first, y, pixels, points);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Smooths 64 pixels of a row along x.
+    #[inline(always)]
+    fn smooth(&mut self, task: &Task, strip: usize, y: usize) {
+        let Kernels { reach, taps } = &task.kernels;
+        let from = (64 * strip).saturating_sub(*reach);
+        let to = (64 * strip + 64 + reach).min(self.width);
+        let mut bytes = [0; 64 + 2 * REACH_MAX];
+        let bytes = &mut bytes[..to - from];
+        task.luma.read_line(from, y, false, bytes);
+        // Beyond the picture its border goes on.
+        let mut padded = [0.0; 64 + 2 * REACH_MAX];
+        let before = reach - (64 * strip - from);
+        padded[..before].fill(task.sign * f32::from(bytes[0]));
+        padded[before + bytes.len()..].fill(task.sign * f32::from(bytes[bytes.len() - 1]));
+        for (p, b) in padded[before..].iter_mut().zip(bytes) {
+            *p = task.sign * f32::from(*b);
+        }
+        let out = &mut self.rows[strip * TAPS_MAX + y % TAPS_MAX];
+        for (smoothed, taps) in out.iter_mut().zip(taps) {
+            let mut sums = [0.0; 64];
+            for (k, tap) in taps[..=2 * reach].iter().enumerate() {
+                let shifted: &[f32; 64] = padded[k..].first_chunk().expect("64 pixels after every tap");
+                for (sum, p) in sums.iter_mut().zip(shifted) {
+                    *sum += tap * p;
+                }
+            }
+            *smoothed = sums;
+        }
+    }
+
+    /// Notes those of the `pixels` from (x, y) on, a bit each, through which a ridge passes.
+    #[inline(always)]
+    fn look(&self, task: &Task, x: usize, y: usize, pixels: u64, points: &mut Vec<Point>) {
+        let (kernels, height) = (&task.kernels, task.luma.height());
+        let [mut gx, mut gy, mut gxx, mut gxy, mut gyy] = [[0f32; GROUP]; 5];
+        for k in 0..=2 * kernels.reach {
+            let row = (y + k).saturating_sub(kernels.reach).min(height - 1);
+            let smoothed = &self.rows[x / 64 * TAPS_MAX + row % TAPS_MAX];
+            let group = |d: usize| -> &[f32; GROUP] {
+                smoothed[d][x % 64..].first_chunk().expect("a strip is whole groups")
+            };
+            let (plain, first, second) = (group(0), group(1), group(2));
+            let [g, g1, g2] = [0, 1, 2].map(|d: usize| kernels.taps[d][k]);
+            for i in 0..GROUP {
+                gx[i] += g * first[i];
+                gy[i] += g1 * plain[i];
+                gxx[i] += g * second[i];
+                gxy[i] += g1 * first[i];
+                gyy[i] += g2 * plain[i];
+            }
+        }
+        let mut curvature = [0f32; GROUP];
+        for i in 0..GROUP {
+            let half = (gxx[i] - gyy[i]) / 2.0;
+            curvature[i] = (gxx[i] + gyy[i]) / 2.0 - (half * half + gxy[i] * gxy[i]).sqrt();
+        }
+        let mut left = pixels;
+        while left != 0 {
+            let i = left.trailing_zeros() as usize;
+            left &= left - 1;
+            if -curvature[i] * task.scale >= self.strength_min
+                && let Some([dx, dy, along_x, along_y]) =
+                    ridge_through(curvature[i], [gx[i], gy[i]], [gxx[i], gxy[i], gyy[i]])
+                && points.len() < points.capacity()
+            {
+                let at = [(x + i) as f32 + dx, y as f32 + dy];
+                points.push(Point { at, along: [along_x, along_y], taken: false });
+            }
+        }
+    }
+}
+
+/// Where the ridge is from a pixel's middle, and its direction, if it passes through the pixel: from the most negative
+/// curvature, the gradient and the second derivatives xx, xy, yy.
+#[inline(always)]
+fn ridge_through(curvature: f32, [gx, gy]: [f32; 2], [gxx, gxy, gyy]: [f32; 3]) -> Option<[f32; 4]> {
+    // The eigenvector, from the row of the matrix that is longer.
+    let (a, b) = ((gxy, curvature - gxx), (curvature - gyy, gxy));
+    let square = |(x, y): (f32, f32)| x * x + y * y;
+    let (nx, ny) = if square(a) > square(b) { a } else { b };
+    let norm = square((nx, ny)).sqrt();
+    if norm < 1e-6 {
+        return None;
+    }
+    let (nx, ny) = (nx / norm, ny / norm);
+    let t = -(gx * nx + gy * ny) / curvature;
+    // A little over half a pixel, so that no ridge slips between two; but kept to the pixel.
+    let passes = (t * nx).abs() <= 0.6 && (t * ny).abs() <= 0.6;
+    passes.then(|| [(t * nx).clamp(-0.49, 0.49), (t * ny).clamp(-0.49, 0.49), -ny, nx])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::{Frame, PixelFormat};
+
+    #[test]
+    fn all_levels_give_the_same_points() {
+        let (width, height) = (150, 70);
+        let bytes: Vec<u8> = (0..width * height)
+            .map(|i| {
+                let (x, y) = ((i % width) as f32, (i / width) as f32);
+                let wave = (0.4 * x + 0.15 * y).sin() * 60.0 + (0.05 * x * y).cos() * 40.0;
+                (128.0 + wave) as u8
+            })
+            .collect();
+        let frame = Frame {
+            bytes,
+            format: PixelFormat::Grey,
+            width,
+            height,
+            stride_bytes: width,
+            ..Frame::default()
+        };
+        let mut mask = BitImage::new(width, height);
+        (0..width * height).filter(|i| i % 7 != 0).for_each(|i| mask.set(i % width, i / width, true));
+        let mut area = Area::new(height);
+        area.include(width / 2, height / 2, width);
+        let found: Vec<Vec<[f32; 4]>> = Level::available()
+            .iter()
+            .map(|&level| {
+                let mut points = Vec::with_capacity(width * height);
+                let luma = LumaView::new(&frame).unwrap();
+                Finder::new(3.5, width, level).run(luma, &mask, &area, false, 1.3, &mut points);
+                points.iter().map(|p| [p.at[0], p.at[1], p.along[0], p.along[1]]).collect()
+            })
+            .collect();
+        assert!(found[0].len() > 200, "{} points", found[0].len());
+        assert!(found.windows(2).all(|two| two[0] == two[1]), "levels differ");
+    }
+}
