@@ -125,33 +125,55 @@ impl<'a> LumaView<'a> {
     /// picture its border goes on; a NaN coordinate counts as 0.
     #[inline]
     pub fn sample(&self, x: f32, y: f32) -> f32 {
-        let x = x.max(0.0).min((self.width - 1) as f32);
-        let y = y.max(0.0).min((self.height - 1) as f32);
-        // On the last column or row the share of the neighbour before is 0 instead of that of one beyond.
-        let x0 = (x as u32 as usize).min(self.width.saturating_sub(2));
-        let y0 = (y as u32 as usize).min(self.height.saturating_sub(2));
-        let (fx, fy) = (x - x0 as f32, y - y0 as f32);
-        let (right, below) = (usize::from(self.width > 1), usize::from(self.height > 1));
-        let four = |step: usize| {
-            let (p, right, below) = (y0 * self.stride + x0 * step, right * step, below * self.stride);
-            [p, p + right, p + below, p + right + below]
-        };
-        let [a, b, c, d] = match self.reading {
-            Reading::Weighted(w) => four(3).map(|p| {
+        let mut value = [0.0];
+        self.add_line([x.into(), y.into()], [0.0; 2], &mut value);
+        value[0]
+    }
+
+    /// Adds [`LumaView::sample`] at places `step` apart, the first at `from`, to `sums`.
+    #[inline]
+    pub fn add_line(&self, from: [f64; 2], step: [f64; 2], sums: &mut [f32]) {
+        match self.reading {
+            Reading::Weighted(w) => self.add_each(from, step, sums, |x, y| {
+                let p = y * self.stride + 3 * x;
                 let p = &self.bytes[p..p + 3];
                 (i32::from(p[0]) * w[0] + i32::from(p[1]) * w[1] + i32::from(p[2]) * w[2]) as f32
                     * (1.0 / (1 << colour::LUMA_SHIFT) as f32)
             }),
-            Reading::Plain { step } => four(step).map(|p| f32::from(self.bytes[p])),
-            Reading::Limited { step, .. } => {
-                // Black is 16 and white 235, as in `Ycbcr`.
-                four(step).map(|p| ((f32::from(self.bytes[p]) - 16.0) * (255.0 / 219.0)).clamp(0.0, 255.0))
+            Reading::Plain { step: bytes } => {
+                self.add_each(from, step, sums, |x, y| f32::from(self.bytes[y * self.stride + bytes * x]))
             }
-            Reading::Ycbcr { .. } => [(0, 0), (right, 0), (0, below), (right, below)]
-                .map(|(dx, dy)| f32::from(self.at(x0 + dx, y0 + dy))),
-        };
-        let (upper, lower) = (a + fx * (b - a), c + fx * (d - c));
-        upper + fy * (lower - upper)
+            Reading::Limited { step: bytes, .. } => self.add_each(from, step, sums, |x, y| {
+                // Black is 16 and white 235, as in `Ycbcr`.
+                let luma = f32::from(self.bytes[y * self.stride + bytes * x]);
+                ((luma - 16.0) * (255.0 / 219.0)).clamp(0.0, 255.0)
+            }),
+            Reading::Ycbcr { .. } => self.add_each(from, step, sums, |x, y| f32::from(self.at(x, y))),
+        }
+    }
+
+    #[inline(always)]
+    fn add_each(
+        &self,
+        from: [f64; 2],
+        step: [f64; 2],
+        sums: &mut [f32],
+        level: impl Fn(usize, usize) -> f32,
+    ) {
+        let last = [(self.width - 1) as f32, (self.height - 1) as f32];
+        // On the last column or row the share of the neighbour before is 0 instead of that of one beyond.
+        let (x_max, y_max) = (self.width.saturating_sub(2), self.height.saturating_sub(2));
+        let (right, below) = (usize::from(self.width > 1), usize::from(self.height > 1));
+        for (i, sum) in sums.iter_mut().enumerate() {
+            let x = ((from[0] + step[0] * i as f64) as f32).max(0.0).min(last[0]);
+            let y = ((from[1] + step[1] * i as f64) as f32).max(0.0).min(last[1]);
+            let (x0, y0) = ((x as u32 as usize).min(x_max), (y as u32 as usize).min(y_max));
+            let (fx, fy) = (x - x0 as f32, y - y0 as f32);
+            let (a, b) = (level(x0, y0), level(x0 + right, y0));
+            let (c, d) = (level(x0, y0 + below), level(x0 + right, y0 + below));
+            let (upper, lower) = (a + fx * (b - a), c + fx * (d - c));
+            *sum += upper + fy * (lower - upper);
+        }
     }
 
     /// [`LumaView::sample`] at `N` places, `step` apart, the first at `from`; places are rounded to 1/256 pixel, RGB

@@ -53,10 +53,6 @@ impl<'a> Profiler<'a> {
             && (0.0..=(self.luma.height() - 1) as f64).contains(&at.y)
     }
 
-    fn sample(&self, at: Vector2<f64>) -> Option<f64> {
-        self.inside(at).then(|| self.sign * self.luma.sample(at.x as f32, at.y as f32) as f64)
-    }
-
     /// The outline of the wire whose middle is expected within `search_px` of `origin`, along the unit vector
     /// `across`, with a half width of about `half_width_px`. `None` where the profile leaves the picture or shows
     /// no wire.
@@ -125,13 +121,19 @@ impl<'a> Profiler<'a> {
         let outside_px = search_px + BEHIND_END_PX + 0.5;
         let count = (((inside_px + outside_px) * samples_per_px) as usize + 1).min(SAMPLES_MAX);
         let side = Vector2::new(-outward.y, outward.x) * half_width_px;
-        let mut profile = [0.0; SAMPLES_MAX];
-        for (i, p) in profile[..count].iter_mut().enumerate() {
-            let at = end + outward * (i as f64 / samples_per_px - inside_px);
-            for ray in rays {
-                *p += self.sample(at + side * *ray)?;
+        let mut sums = [0f32; SAMPLES_MAX];
+        let step = outward / samples_per_px;
+        for ray in rays {
+            let from = end - outward * inside_px + side * *ray;
+            if !self.inside(from) || !self.inside(from + step * (count - 1) as f64) {
+                return None;
             }
-            *p /= rays.len() as f64;
+            self.luma.add_line(from.into(), step.into(), &mut sums[..count]);
+        }
+        let scale = self.sign / rays.len() as f64;
+        let mut profile = [0.0; SAMPLES_MAX];
+        for (p, sum) in profile.iter_mut().zip(&sums[..count]) {
+            *p = f64::from(*sum) * scale;
         }
         let profile = &profile[..count];
         let well_inside = ((inside_px - search_px - 1.0).max(1.0) * samples_per_px) as usize;
