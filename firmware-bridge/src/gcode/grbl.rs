@@ -184,7 +184,8 @@ impl GrblWire {
         } else if is_banner(text) {
             self.banner(text, now, events);
         } else if let Some(options) = text.strip_prefix("[OPT:") {
-            let len = options.trim_end_matches(']').rsplit(',').next().and_then(line::leading_integer);
+            // Options, planner blocks, receive buffer; grblHAL appends more.
+            let len = options.trim_end_matches(']').split(',').nth(2).and_then(line::leading_integer);
             // Larger ones are of no use, and the number may have lost a comma on its way.
             if let Some((len, _)) = len.filter(|&(len, _)| len >= 64) {
                 self.rx_len = (len as usize).min(RX_LEN);

@@ -198,9 +198,11 @@ pub(crate) fn leading_integer(text: &str) -> Option<(u32, &str)> {
 pub(crate) fn word(text: &str, letter: char) -> Option<f64> {
     let mut rest = text;
     while let Some(at) = rest.find(letter) {
-        let begins = rest[..at].chars().next_back().is_none_or(char::is_whitespace);
-        let value = rest[at + 1..].trim_start_matches(':');
-        let end = value.find(char::is_whitespace).unwrap_or(value.len());
+        // Firmwares write `X:1.00 Y:2.00`, `X: 1.00 Y: 2.00`, `X1.00 Y2.00` and `X:1.00Y:2.00`.
+        let before = rest[..at].chars().next_back();
+        let begins = before.is_none_or(|c| c.is_whitespace() || c.is_ascii_digit());
+        let value = rest[at + 1..].trim_start_matches(':').trim_start();
+        let end = value.find(|c: char| c.is_whitespace() || c.is_ascii_uppercase()).unwrap_or(value.len());
         if begins {
             return number(&value[..end]);
         }
@@ -267,5 +269,21 @@ mod tests {
         assert_eq!(triple("1.000,2.000,3.000"), Some([1.0, 2.0, 3.0]));
         assert_eq!(triple("1.000,2.000"), None);
         assert_eq!(number("1e5"), None);
+    }
+
+    #[test]
+    fn coordinates_are_read_with_and_without_colons_and_spaces() {
+        for text in
+            ["X:1.00 Y:-2.50 Z:3 E:0", "X: 1.00 Y: -2.50 Z: 3 E: 0", "X1.00 Y-2.50 Z3", "X:1.00Y:-2.50Z:3E:0"]
+        {
+            assert_eq!(
+                ['X', 'Y', 'Z'].map(|axis| word(text, axis)),
+                [Some(1.0), Some(-2.5), Some(3.0)],
+                "{text}"
+            );
+        }
+        for text in ["X:nan Y:1", "X: Y:1", "X1e5 Y:1", "MAX:1 Y:1", "X:1.0.0 Y:1"] {
+            assert_eq!(word(text, 'X'), None, "{text}");
+        }
     }
 }

@@ -31,6 +31,8 @@ const ANSWER_WAITING: i64 = 5000 * MS;
 const MOVES_AHEAD: u32 = 6;
 /// While it moves the steps are asked for this often.
 const LOOK_AGAIN: i64 = 50 * MS;
+/// So many positions without `Count` are no accident.
+const COUNTLESS_MAX: u8 = 3;
 /// A first move waits 100 ms for others to come (`BLOCK_DELAY_FOR_1ST_MOVE` in planner.h): before that rest proves
 /// nothing.
 const FIRST_MOVE: i64 = 120 * MS;
@@ -141,8 +143,10 @@ pub struct MarlinWire {
     /// `Count` of the last two M114.
     steps: Option<[f64; 3]>,
     steps_before: Option<[f64; 3]>,
-    /// M114 is answered only at rest.
+    /// M114 is answered only at rest, or does not tell rest.
     m114_waits: bool,
+    /// Positions in a row without `Count`.
+    countless: u8,
     /// It was silent while moves were watched; if it turns out to be alive, M114 waits.
     silent_looking: bool,
     moves_ahead: u32,
@@ -312,9 +316,19 @@ impl MarlinWire {
         if point_mm.iter().all(Option::is_some) {
             self.position_mm = Some(point_mm);
             self.answered = Some(Question::Position);
+            // Arms and deltas count `A:… B:… C:…`, the angles of their motors.
             let count = text.split_once("Count").map_or("", |(_, count)| count);
-            let steps = ['X', 'Y', 'Z'].map(|axis| line::word(count, axis).unwrap_or(0.0));
-            self.steps_before = self.steps.replace(steps);
+            let steps = [('X', 'A'), ('Y', 'B'), ('Z', 'C')]
+                .map(|(axis, motor)| line::word(count, axis).or_else(|| line::word(count, motor)));
+            if let [Some(x), Some(y), Some(z)] = steps {
+                self.countless = 0;
+                self.steps_before = self.steps.replace([x, y, z]);
+            } else {
+                (self.steps, self.steps_before) = (None, None);
+                // Once is a lost byte; a firmware without counts is asked to wait instead.
+                self.countless = self.countless.saturating_add(1);
+                self.m114_waits |= self.countless >= COUNTLESS_MAX;
+            }
         }
         true
     }
@@ -454,12 +468,10 @@ impl MarlinWire {
                     _ => Event::Standing(self.position_mm.unwrap_or_default()),
                 });
             }
-            Chore::Sync(Asking::Look) if self.steps.is_none() || self.steps != self.steps_before => {
+            Chore::Sync(Asking::Look) if !self.rests() => {
                 self.look_again(now);
             }
-            Chore::Stop { asking: Asking::Look, looks, .. }
-                if self.steps.is_none() || self.steps != self.steps_before =>
-            {
+            Chore::Stop { asking: Asking::Look, looks, .. } if !self.rests() => {
                 if looks >= STOP_LOOKS {
                     // It moves on in spite of M410.
                     self.begin(Chore::None);
@@ -499,6 +511,11 @@ impl MarlinWire {
             }
             Chore::Closed | Chore::Banner(_) | Chore::None => {}
         }
+    }
+
+    /// Two looks in a row found the steps alike, or looks tell nothing.
+    fn rests(&self) -> bool {
+        self.m114_waits || (self.steps.is_some() && self.steps == self.steps_before)
     }
 
     fn look_again(&mut self, now: i64) {

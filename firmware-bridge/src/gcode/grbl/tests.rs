@@ -286,3 +286,28 @@ fn reports_are_read_in_all_their_forms() {
     assert!(is_banner("Grbl 1.1h ['$' for help]") && is_banner("rbl 1.1h ['$' for help]"));
     assert!(understood("1.1h") && understood("3.7 [FluidNC]") && !understood("0.9j") && !understood("1.0c"));
 }
+
+#[test]
+fn relatives_of_grbl_are_understood() {
+    for (banner, info) in [
+        (
+            "GrblHAL 1.1f ['$' or '$HELP' for help]",
+            "[VER:1.1f.20240101:]\r\n[OPT:VNMSL,35,1024,3,0]\r\n[FIRMWARE:grblHAL]\r\nok\r\n",
+        ),
+        (
+            "Grbl 3.7 [FluidNC v3.7.12 (wifi) '$' for help]",
+            "[VER:3.7 FluidNC v3.7.12:]\r\n[OPT:MPHS]\r\n[MSG: Machine: Arm]\r\nok\r\n",
+        ),
+        ("Grbl 1.1h ['$' for help]", "[VER:1.1h.20190825:My arm]\r\n[OPT:V,15,128]\r\nok\r\n"),
+    ] {
+        let mut desk = Desk::new("");
+        desk.hear(&format!("[MSG:INFO: starting]\r\n\r\n{banner}\r\n>G54:ok\r\n"));
+        assert_eq!(
+            desk.status("Idle|WPos:0.000,0.000,0.000|Bf:35,1023|FS:0,0|FW:grblHAL"),
+            "$I\\n",
+            "{banner}"
+        );
+        desk.hear(info);
+        assert_eq!(desk.told(), [Report::Connected { session: 7, held_by: HeldBy::Start }], "{banner}");
+    }
+}

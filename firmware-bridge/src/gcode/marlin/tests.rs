@@ -303,3 +303,69 @@ fn the_delay_of_the_line_is_known_before_the_first_pick_and_taken_off_its_time_t
     desk.now_ns += 100 * MS;
     assert_eq!(desk.wait(26), "N6 M114\\n");
 }
+
+#[test]
+fn an_arm_that_counts_its_motors_angles_is_seen_to_move() {
+    let arm = |steps: f64| {
+        format!(
+            "X:0.00 Y:300.00 Z:0.00 E:0.00 Count A:{steps} B:1 C:2\r\nDEXARM Theta A:0.00  Theta B:0.00\r\nok\r\n"
+        )
+    };
+    let mut desk = Desk::new();
+    desk.make_ready();
+    desk.pick();
+    desk.hear("ok\r\n");
+    desk.hear("ok\r\n");
+    desk.hear("ok\r\n");
+    assert_eq!(desk.wait(130), "N9 M114\\n");
+    desk.hear(&arm(10.0));
+    assert_eq!(desk.wait(60), "N10 M114\\n");
+    desk.hear(&arm(20.0));
+    assert_eq!(desk.wait(60), "N11 M114\\n");
+    assert_eq!(desk.hear(&arm(20.0)), "N12 M400\\n");
+}
+
+#[test]
+fn a_firmware_without_step_counts_is_asked_to_wait_for_its_moves() {
+    let mut desk = Desk::new();
+    desk.wait(2);
+    desk.hear("start\r\n");
+    desk.hear("ok\r\n");
+    desk.hear("FIRMWARE_NAME:Marlin bugfix-2.1.x\r\nok\r\n");
+    let plain = "X:0.00 Y:0.00 Z:0.00 E:0.00\r\nok\r\n";
+    desk.hear(plain);
+    desk.marlin.command(Command::Release, desk.now_ns).unwrap();
+    desk.wait(2);
+    for reply in ["ok\r\n", "ok\r\n", plain, "ok\r\n", "ok\r\n", "ok\r\n"] {
+        desk.hear(reply);
+    }
+    desk.pick();
+    desk.hear("ok\r\n");
+    desk.hear("ok\r\n");
+    desk.hear("ok\r\n");
+    assert_eq!(desk.wait(130), "N9 M114\\n");
+    assert_eq!(desk.hear(plain), "N10 M400\\n");
+    // It waits in silence for longer than a question would.
+    assert_eq!(desk.wait(3000), "");
+}
+
+#[test]
+fn what_else_a_printer_says_does_no_harm() {
+    let mut desk = Desk::new();
+    desk.make_ready();
+    desk.pick();
+    for chatter in [
+        "wait\r\n",
+        " T:21.3 /0.0 B:20.1 /0.0 @:0 B@:0\r\n",
+        "//action:notification ready\r\n",
+        "echo:SD init fail\r\n",
+        "echo:DEBUG:INFO\r\n",
+        "Not SD printing\r\n",
+    ] {
+        assert_eq!(desk.hear(chatter), "", "{chatter}");
+    }
+    assert!(desk.hear("ok T:21.3 /0.0 B:20.1 /0.0 @:0 B@:0\r\n").starts_with("N7 G0 Z45.000"));
+    assert!(desk.hear("ok P15 B3\r\n").starts_with("N8 G1 X10.000"));
+    assert_eq!(desk.hear("!! printer halted\r\n"), "");
+    assert!(desk.told().contains(&Report::Alarm { code: 112 }));
+}

@@ -35,6 +35,7 @@ impl Wire for MarlinWire {
             steps: None,
             steps_before: None,
             m114_waits: false,
+            countless: 0,
             silent_looking: false,
             moves_ahead: 0,
             move_taken: i64::MIN,

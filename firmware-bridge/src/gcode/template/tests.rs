@@ -130,3 +130,17 @@ fn a_number_that_is_none_fills_no_line() {
     });
     assert!(unfilled);
 }
+
+#[test]
+fn the_first_cell_of_the_documentation_is_taken_with_every_dialect() {
+    let page = include_str!("../../../GCODE.md");
+    let text = page.split("```toml\n").nth(1).and_then(|rest| rest.split("```").next()).expect("an example");
+    for dialect in ["grbl", "marlin", "uarm"] {
+        let text = text.replace("dialect = \"grbl\"", &format!("dialect = \"{dialect}\""));
+        let settings = Settings::parse(&text).unwrap_or_else(|error| panic!("{dialect}: {error}"));
+        assert!(Program::compile(&settings).is_ok());
+    }
+    let unsaid = text.replace("axes = \"xyz\"", "");
+    let complaint = Settings::parse(&unsaid).unwrap_err().to_string();
+    assert!(complaint.contains("write axes = \"xyz\""), "{complaint}");
+}
