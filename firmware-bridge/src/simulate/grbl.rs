@@ -82,7 +82,6 @@ pub struct GrblFirmware {
     holds_part: bool,
     spindle_on: bool,
     coolant_on: bool,
-    restart_ns: Option<i64>,
     out: VecDeque<u8>,
 }
 
@@ -112,7 +111,6 @@ impl GrblFirmware {
             holds_part: false,
             spindle_on: false,
             coolant_on: false,
-            restart_ns: None,
             out: VecDeque::with_capacity(512),
         }
     }
@@ -151,11 +149,7 @@ impl GrblFirmware {
     /// Bytes that it says now.
     pub fn transmit(&mut self, now_ns: i64, out: &mut [u8]) -> usize {
         self.run(now_ns);
-        let len = self.out.len().min(out.len());
-        for byte in &mut out[..len] {
-            *byte = self.out.pop_front().unwrap_or(0);
-        }
-        len
+        super::take(&mut self.out, out)
     }
 
     /// When something happens by itself.
@@ -167,7 +161,7 @@ impl GrblFirmware {
             Busy::Off => Some(i64::MIN),
             _ => None,
         };
-        [busy, self.arm.next_ns(), self.restart_ns].into_iter().flatten().min()
+        [busy, self.arm.next_ns(), self.noise.restart_ns()].into_iter().flatten().min()
     }
 
     /// The button: power-on without a power-off. Somebody puts the arm back to its park position.
@@ -186,7 +180,6 @@ impl GrblFirmware {
     pub fn heal(&mut self) {
         self.noise.heal();
         self.arm.pace = 1.0;
-        self.restart_ns = None;
     }
 
     /// Raises a soft-limit alarm, as a target beyond the travel does with `$20=1`.
@@ -208,7 +201,7 @@ impl GrblFirmware {
         self.check = false;
         self.asked = false;
         self.reset_asked = false;
-        self.restart_ns = None;
+        self.noise.forget_restart();
         self.wco_counter = 0;
     }
 
@@ -237,11 +230,8 @@ impl GrblFirmware {
         if self.busy == Busy::Off {
             self.busy = Busy::Boot(now_ns + BOOT_NS);
         }
-        if self.restart_ns.is_some_and(|at| at <= now_ns) {
-            self.restart_ns = None;
-            if self.arm.is_moving() {
-                self.reset(now_ns);
-            }
+        if self.noise.restarts(now_ns) && self.arm.is_moving() {
+            self.reset(now_ns);
         }
         self.arm.advance(now_ns);
         while self.step(now_ns) {
@@ -323,9 +313,7 @@ impl GrblFirmware {
     }
 
     fn start_cycle(&mut self, now_ns: i64) {
-        if self.restart_ns.is_none() {
-            self.restart_ns = self.noise.reset_after_ns().map(|after| now_ns + after);
-        }
+        self.noise.begin_move(now_ns);
         self.arm.start(now_ns);
     }
 

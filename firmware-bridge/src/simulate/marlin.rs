@@ -66,7 +66,6 @@ pub struct MarlinFirmware {
     relative: bool,
     closed: bool,
     holds_part: bool,
-    restart_ns: Option<i64>,
     /// When moves that were planned at rest begin.
     first_move_ns: Option<i64>,
     out: VecDeque<u8>,
@@ -94,7 +93,6 @@ impl MarlinFirmware {
             relative: false,
             closed: false,
             holds_part: false,
-            restart_ns: None,
             first_move_ns: None,
             out: VecDeque::with_capacity(512),
         }
@@ -126,11 +124,7 @@ impl MarlinFirmware {
     /// Bytes that it says now.
     pub fn transmit(&mut self, now_ns: i64, out: &mut [u8]) -> usize {
         self.run(now_ns);
-        let len = self.out.len().min(out.len());
-        for byte in &mut out[..len] {
-            *byte = self.out.pop_front().unwrap_or(0);
-        }
-        len
+        super::take(&mut self.out, out)
     }
 
     /// When something happens by itself.
@@ -141,7 +135,7 @@ impl MarlinFirmware {
             Busy::PlannerFull { .. } | Busy::Sync(_) => Some(self.busy_said_ns + BUSY_NS),
             _ => None,
         };
-        [busy, self.arm.next_ns(), self.restart_ns, self.first_move_ns].into_iter().flatten().min()
+        [busy, self.arm.next_ns(), self.noise.restart_ns(), self.first_move_ns].into_iter().flatten().min()
     }
 
     /// The button. Somebody puts the arm back to its park position.
@@ -156,7 +150,7 @@ impl MarlinFirmware {
         self.out.clear();
         self.last_number = 0;
         self.relative = false;
-        self.restart_ns = None;
+        self.noise.forget_restart();
         self.first_move_ns = None;
         self.busy = Busy::Boot(now_ns + BOOT_NS);
     }
@@ -165,7 +159,6 @@ impl MarlinFirmware {
     pub fn heal(&mut self) {
         self.noise.heal();
         self.arm.pace = 1.0;
-        self.restart_ns = None;
     }
 
     fn say(&mut self, text: &str) {
@@ -176,11 +169,8 @@ impl MarlinFirmware {
         if self.busy == Busy::Off {
             self.busy = Busy::Boot(now_ns + BOOT_NS);
         }
-        if self.restart_ns.is_some_and(|at| at <= now_ns) {
-            self.restart_ns = None;
-            if self.arm.is_moving() {
-                self.reset(now_ns);
-            }
+        if self.noise.restarts(now_ns) && self.arm.is_moving() {
+            self.reset(now_ns);
         }
         self.arm.advance(now_ns);
         while self.step(now_ns) {
@@ -215,9 +205,7 @@ impl MarlinFirmware {
             Busy::Command(at) if now_ns >= at => self.busy = Busy::Free,
             Busy::PlannerFull { to_mm, speed_mm_s } if self.arm.blocks() < BLOCKS => {
                 self.arm.plan(to_mm, speed_mm_s);
-                if self.restart_ns.is_none() {
-                    self.restart_ns = self.noise.reset_after_ns().map(|after| now_ns + after);
-                }
+                self.noise.begin_move(now_ns);
                 if !self.arm.is_moving() {
                     self.first_move_ns.get_or_insert(now_ns + FIRST_MOVE_NS);
                 }

@@ -25,6 +25,7 @@ pub use own::OwnFirmware;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
 pub use uarm::UarmFirmware;
 
 /// A firmware of one dialect.
@@ -62,6 +63,15 @@ impl Firmware {
             DialectName::Uarm => Firmware::Uarm(UarmFirmware::new(park_mm, faults)),
         }
     }
+}
+
+/// Moves what fits of `said` into `out`; how much.
+fn take(said: &mut VecDeque<u8>, out: &mut [u8]) -> usize {
+    let len = out.len().min(said.len());
+    for (to, from) in out.iter_mut().zip(said.drain(..len)) {
+        *to = from;
+    }
+    len
 }
 
 /// A simulated arm: a firmware behind a line that may be bad.

@@ -141,11 +141,7 @@ impl OwnFirmware {
 
     /// Bytes to answer now.
     pub fn transmit(&mut self, _now_ns: i64, out: &mut [u8]) -> usize {
-        let len = out.len().min(self.out.len());
-        for (to, from) in out.iter_mut().zip(self.out.drain(..len)) {
-            *to = from;
-        }
-        len
+        super::take(&mut self.out, out)
     }
 
     /// When something happens by itself.

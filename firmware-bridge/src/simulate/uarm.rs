@@ -59,7 +59,6 @@ pub struct UarmFirmware {
     gripper_closed: bool,
     pump_on: bool,
     holds_part: bool,
-    restart_ns: Option<i64>,
     out: VecDeque<u8>,
 }
 
@@ -90,7 +89,6 @@ impl UarmFirmware {
             gripper_closed: false,
             pump_on: false,
             holds_part: false,
-            restart_ns: None,
             out: VecDeque::with_capacity(512),
         }
     }
@@ -128,11 +126,7 @@ impl UarmFirmware {
     /// Bytes that it says now.
     pub fn transmit(&mut self, now_ns: i64, out: &mut [u8]) -> usize {
         self.run(now_ns);
-        let len = self.out.len().min(out.len());
-        for byte in &mut out[..len] {
-            *byte = self.out.pop_front().unwrap_or(0);
-        }
-        len
+        super::take(&mut self.out, out)
     }
 
     /// When something happens by itself.
@@ -144,7 +138,7 @@ impl UarmFirmware {
         };
         let delayed = self.busy == Busy::Free && !self.commands.is_empty() && !self.held;
         let delay = delayed.then_some(self.delay_until_ns);
-        [busy, delay, self.arm.next_ns(), self.restart_ns].into_iter().flatten().min()
+        [busy, delay, self.arm.next_ns(), self.noise.restart_ns()].into_iter().flatten().min()
     }
 
     /// The button. Its encoders know where it stands; somebody has put it back to its park position all the same.
@@ -158,7 +152,7 @@ impl UarmFirmware {
         self.query = None;
         self.answers.clear();
         self.alarm = false;
-        self.restart_ns = None;
+        self.noise.forget_restart();
         self.forget();
         self.busy = Busy::Boot(now_ns + BOOT_NS);
     }
@@ -167,7 +161,6 @@ impl UarmFirmware {
     pub fn heal(&mut self) {
         self.noise.heal();
         self.arm.pace = 1.0;
-        self.restart_ns = None;
     }
 
     fn forget(&mut self) {
@@ -189,11 +182,8 @@ impl UarmFirmware {
         if self.busy == Busy::Off {
             self.busy = Busy::Boot(now_ns + BOOT_NS);
         }
-        if self.restart_ns.is_some_and(|at| at <= now_ns) {
-            self.restart_ns = None;
-            if self.arm.is_moving() {
-                self.reset(now_ns);
-            }
+        if self.noise.restarts(now_ns) && self.arm.is_moving() {
+            self.reset(now_ns);
         }
         self.arm.advance(now_ns);
         while self.step(now_ns) {
@@ -251,9 +241,7 @@ impl UarmFirmware {
             went_on = true;
         }
         if self.arm.blocks() > 0 && !self.arm.is_moving() && !self.alarm && self.busy == Busy::Free {
-            if self.restart_ns.is_none() {
-                self.restart_ns = self.noise.reset_after_ns().map(|after| now_ns + after);
-            }
+            self.noise.begin_move(now_ns);
             self.arm.start(now_ns);
             went_on = true;
         }
