@@ -17,8 +17,6 @@ pub struct Params {
     pub seen_min: f64,
     /// Share of the part's length that may be background.
     pub missing_max: f64,
-    /// Clean wire beyond an end or a bend, at most, in mm.
-    pub overrun_mm_max: f64,
     /// Root mean square distance between seen and expected middles, at most, in pixels.
     pub offset_px_max: f64,
     /// Distance of a seen end from the expected one, at most, in pixels.
@@ -30,6 +28,8 @@ pub struct Params {
     pub hidden_weight: f64,
     /// What a misfit of one more than usual costs, in mm of wire.
     pub misfit_mm: f64,
+    /// Weight of wire that others have claimed: two wires seldom lie along each other, one upon the other.
+    pub claimed_weight: f64,
     /// Weight of missing and overrunning wire against seen wire.
     pub against: f64,
 }
@@ -39,12 +39,12 @@ impl Default for Params {
         Self {
             seen_min: 0.4,
             missing_max: 0.08,
-            overrun_mm_max: 8.0,
             offset_px_max: 0.9,
             end_offset_px_max: 2.5,
             seen_end_mm: 2.0,
             misfit_mm: 15.0,
-            hidden_weight: 0.25,
+            hidden_weight: 1.0,
+            claimed_weight: 0.5,
             against: 3.0,
         }
     }
@@ -64,8 +64,8 @@ const CELL_PX: f64 = 3.0;
 pub struct ClaimMap {
     columns: i32,
     rows: i32,
-    /// Direction + 1 and its owner, or 0.
-    cells: Vec<u8>,
+    /// A bit for each direction in which wire is claimed.
+    cells: Vec<u32>,
     touched: Vec<u32>,
 }
 
@@ -93,7 +93,7 @@ impl ClaimMap {
 
     /// Claims a piece of wire.
     pub fn claim(&mut self, piece: &PieceSight) {
-        let value = direction_of(&piece.across) as u8 + 1;
+        let direction = 1u32 << direction_of(&piece.across);
         let steps = (piece.half_width_px * 0.8 / CELL_PX).ceil() as i32;
         for k in -steps..=steps {
             let along = Vector2::new(piece.across.y, -piece.across.x);
@@ -105,7 +105,7 @@ impl ClaimMap {
                     if self.cells[cell] == 0 {
                         self.touched.push(cell as u32);
                     }
-                    self.cells[cell] = value;
+                    self.cells[cell] |= direction;
                 }
             }
         }
@@ -124,12 +124,9 @@ impl ClaimMap {
     /// Whether a place lies on claimed wire of the direction that `across` is at right angles to.
     pub fn is_claimed_at(&self, px: &Vector2<f64>, across: &Vector2<f64>) -> bool {
         let Some(cell) = self.cell(px.x, px.y) else { return false };
-        let value = self.cells[cell] as i32;
-        if value == 0 {
-            return false;
-        }
-        let turn = (value - 1 - direction_of(across)).rem_euclid(DIRECTIONS);
-        turn.min(DIRECTIONS - turn) <= SAME_DIRECTION
+        let near = (1u32 << (2 * SAME_DIRECTION + 1)) - 1;
+        let near = near.rotate_left((direction_of(across) + DIRECTIONS - SAME_DIRECTION) as u32);
+        self.cells[cell] & near != 0
     }
 }
 
@@ -156,6 +153,18 @@ pub fn free_length_mm(model: &PoseModel, verdict: &Verdict, claims: &[ClaimMap; 
     free
 }
 
+/// Length in mm on which an explanation needs wire that others have claimed, the mean of both pictures.
+fn claimed_mm(model: &PoseModel, verdict: &Verdict, claims: &[ClaimMap; 2]) -> f64 {
+    let pieces = model.stations.iter().zip(&verdict.pieces);
+    pieces
+        .map(|(station, piece)| {
+            let claimed = (0..2)
+                .filter(|&side| piece[side].sight != Sight::Outside && claims[side].is_claimed(&piece[side]));
+            claimed.count() as f64 / 2.0 * station.length_mm
+        })
+        .sum()
+}
+
 /// Whether an explanation leaves no doubt: all ends seen in both pictures where they should be, all wire there, none
 /// beyond.
 pub fn is_certain(fit: &Fit, verdict: &Verdict, ends: usize) -> bool {
@@ -178,6 +187,14 @@ pub fn is_sound(fit: &Fit, verdict: &Verdict) -> bool {
         && fit.misfit < 1.5
 }
 
+/// Whether the length of a part is proved: nothing speaks against it, or each free end is seen in a picture, or it is
+/// bent, so that it cannot have slid along itself.
+pub fn is_proven(model: &PoseModel, fit: &Fit, verdict: &Verdict) -> bool {
+    model.straight_along.is_none()
+        || verdict.ends_shown as usize == model.ends.len()
+        || is_sound(fit, verdict)
+}
+
 /// What an explanation is worth in mm of wire, given what is claimed; `None` where it does not stand.
 pub fn worth_mm(
     params: &Params,
@@ -188,12 +205,12 @@ pub fn worth_mm(
 ) -> Option<f64> {
     let missing = (verdict.missing[0] + verdict.missing[1]) / 2.0;
     if missing > params.missing_max
-        || verdict.overrun_mm > params.overrun_mm_max
         || verdict.offset_px > params.offset_px_max
         || verdict.end_offset_px > params.end_offset_px_max
     {
         return None;
     }
+    let claimed = claimed_mm(model, verdict, claims);
     let free = free_length_mm(model, verdict, claims);
     let least = free[0].min(free[1]);
     if least < params.seen_min * model.length_mm {
@@ -204,5 +221,47 @@ pub fn worth_mm(
     let ends = params.seen_end_mm * f64::from(verdict.ends_seen)
         - params.hidden_weight * verdict.hidden_px / px_per_mm;
     let misfit = params.misfit_mm * (fit.misfit - MISFIT_USUAL).max(0.0);
-    Some((free[0] + free[1]) / 2.0 + ends - misfit - params.against * against)
+    Some(
+        (free[0] + free[1]) / 2.0 + ends
+            - misfit
+            - params.against * against
+            - params.claimed_weight * claimed,
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn piece(x: f64, y: f64, across: [f64; 2]) -> PieceSight {
+        PieceSight {
+            sight: Sight::Clear,
+            expected_px: Vector2::new(x, y),
+            across: Vector2::from(across).normalize(),
+            half_width_px: 3.5,
+        }
+    }
+
+    #[test]
+    fn a_wire_that_crosses_takes_no_claim_away() {
+        let mut claims = ClaimMap::new(100, 100);
+        let (level, upright) = (piece(50.0, 50.0, [0.0, 1.0]), piece(50.0, 50.0, [1.0, 0.0]));
+        claims.claim(&level);
+        assert!(claims.is_claimed(&level) && !claims.is_claimed(&upright));
+        claims.claim(&upright);
+        assert!(claims.is_claimed(&level) && claims.is_claimed(&upright));
+        claims.clear();
+        assert!(!claims.is_claimed(&level) && !claims.is_claimed_by_any(&Vector2::new(50.0, 50.0)));
+    }
+
+    #[test]
+    fn a_claim_holds_for_like_directions_and_not_for_the_wire_beside() {
+        let mut claims = ClaimMap::new(100, 100);
+        // The directions about half a turn are neighbours, too.
+        claims.claim(&piece(50.0, 50.0, [1.0, 0.05]));
+        assert!(claims.is_claimed(&piece(50.0, 50.0, [1.0, -0.05])));
+        assert!(claims.is_claimed(&piece(50.0, 50.0, [-1.0, 0.05])));
+        assert!(!claims.is_claimed(&piece(50.0, 50.0, [1.0, 0.8])));
+        assert!(!claims.is_claimed(&piece(58.0, 50.0, [1.0, 0.05])));
+    }
 }

@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 
 use super::model::PoseModel;
-use super::refine::{Refine, Sighting, View};
+use super::refine::{EndSighting, Refine, Sighting, View};
 use crate::matching::fitness::Terms;
 
 /// What one picture shows of one piece of the part.
@@ -48,6 +48,8 @@ pub struct Verdict {
     pub overrun_mm: f64,
     /// Free ends that are seen, in both pictures together.
     pub ends_seen: u32,
+    /// Free ends that are seen in at least one picture.
+    pub ends_shown: u32,
     /// Second largest distance of a seen end from the expected one, in pixels: one alone may belong to a neighbour.
     pub end_offset_px: f64,
     /// Sum of the distances of all seen ends from the expected ones, in pixels.
@@ -150,6 +152,8 @@ fn sight_of(sighting: &Sighting) -> (Sight, Option<f64>) {
 
 fn judge_ends(refine: &Refine, verdict: &mut Verdict) {
     (verdict.ends_seen, verdict.end_offset_px, verdict.ends_off_px) = (0, 0.0, 0.0);
+    let shown = |end: &&[Option<EndSighting>; 2]| end.iter().flatten().any(|e| e.beyond_px.is_some());
+    verdict.ends_shown = refine.ends().iter().filter(shown).count() as u32;
     let mut largest: f64 = 0.0;
     verdict.hidden_px = refine.ends().iter().flatten().flatten().map(|e| e.mask_beyond_px).sum();
     for beyond in refine.ends().iter().flatten().flatten().filter_map(|e| e.beyond_px) {

@@ -257,8 +257,30 @@ impl Recognizer {
     /// Fills the pool with rough poses that straight wire holds which nothing explains for certain; says whether there
     /// are any.
     fn search_ridges(&mut self, pair: &FramePair) -> bool {
-        let Self { pictures, rig, parts, pool, params, ridges, area, lines, claims, .. } = self;
+        let Self {
+            pictures,
+            rig,
+            parts,
+            pool,
+            params,
+            ridges,
+            area,
+            lines,
+            claims,
+            explanations,
+            explained,
+            ..
+        } = self;
         pool.clear();
+        // What is sound is not explained again either, here where there is much to explain.
+        for explanation in &explanations[..*explained] {
+            if select::is_sound(&explanation.fit, &explanation.verdict) {
+                for piece in &explanation.verdict.pieces {
+                    claims[0].claim(&piece[0]);
+                    claims[1].claim(&piece[1]);
+                }
+            }
+        }
         for (side, frame) in [&pair.left, &pair.right].into_iter().enumerate() {
             let Some(luma) = LumaView::new(pictures[side].raw(frame)) else { return false };
             let half = half_width_px(&pictures[side]);
@@ -438,6 +460,8 @@ impl Recognizer {
             sigma_axis_rad,
             blocked: None,
             iterations,
+            sound: select::is_sound(&e.fit, &e.verdict),
+            proven: select::is_proven(&prepared.pose_model, &e.fit, &e.verdict),
             clear: e.verdict.clear[0].min(e.verdict.clear[1]),
         }
     }
@@ -454,7 +478,7 @@ impl Recognizer {
             .collect();
         drop(placed);
         for (found, blocked) in out.parts.iter_mut().zip(blocked) {
-            found.blocked = blocked;
+            found.blocked = blocked.or((!found.proven).then_some(Blocked::Uncertain));
         }
         let rank = |f: &FoundPart| match f.blocked {
             None => 0,
@@ -464,7 +488,11 @@ impl Recognizer {
         // An unstable sort allocates nothing; places settle ties the same way every time.
         let place = |f: &FoundPart| f.left_from_part.translation.z;
         out.parts.sort_unstable_by(|a, b| {
-            rank(a).cmp(&rank(b)).then(b.clear.total_cmp(&a.clear)).then(place(a).total_cmp(&place(b)))
+            rank(a)
+                .cmp(&rank(b))
+                .then(b.sound.cmp(&a.sound))
+                .then(b.clear.total_cmp(&a.clear))
+                .then(place(a).total_cmp(&place(b)))
         });
     }
 

@@ -53,10 +53,24 @@ impl Prepared {
     ) -> bool {
         explanations.iter().any(|e| {
             e.hypothesis.part == hypothesis.part && {
-                let near_mm = near_mm[select::is_sound(&e.fit, &e.verdict) as usize];
-                self.distance_mm(&e.fit.left_from_part, pose) < near_mm
+                let distance_mm = self.distance_mm(&e.fit.left_from_part, pose);
+                distance_mm < near_mm[0]
+                    || distance_mm < near_mm[1]
+                        && select::is_sound(&e.fit, &e.verdict)
+                        && self.beside_mm(&e.fit.left_from_part, pose) < self.pose_model.radius_mm
             }
         })
+    }
+
+    /// How far two poses of the part lie beside each other; displacement along a straight part does not count.
+    fn beside_mm(&self, a: &Isometry3<f64>, b: &Isometry3<f64>) -> f64 {
+        match self.pose_model.straight_along {
+            Some(along) => {
+                let (along, centre) = (a * along, self.pose_model.centre_mm);
+                (b * centre - a * centre).cross(&along).norm()
+            }
+            None => self.distance_mm(a, b),
+        }
     }
 
     /// Mean distance of the part's nodes and bends between two poses, under the symmetry that makes it least.

@@ -137,6 +137,10 @@ pub struct FoundPart {
     pub blocked: Option<Blocked>,
     /// Iterations of the search that found it.
     pub iterations: u64,
+    /// Whether nothing speaks against it, see [`crate::matching::select::is_sound`].
+    pub sound: bool,
+    /// Whether its length is proved, see [`crate::matching::select::is_proven`]; if not it is not offered.
+    pub proven: bool,
     /// Share of its length that is seen with both outlines, the lesser of both pictures.
     pub clear: f64,
 }
