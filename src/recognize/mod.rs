@@ -193,9 +193,9 @@ impl Recognizer {
             taken.clear();
             taken.resize(picture.nodes().len(), false);
         }
-        self.explain(pair);
-        if self.search_ridges(pair) {
-            self.explain(pair);
+        self.explain(pair, None, out);
+        if !budget.is_spent(out.iterations) && self.search_ridges(pair) {
+            self.explain(pair, Some(budget), out);
         }
         self.compete(out);
         self.grasp(out);
@@ -316,8 +316,9 @@ impl Recognizer {
     }
 
     /// Refines and judges the hypotheses, each pose once. Wire and ends that a certain explanation has are not
-    /// explained again.
-    fn explain(&mut self, pair: &FramePair) {
+    /// explained again. With a budget each hypothesis costs an iteration, and those that it does not last for are
+    /// left.
+    fn explain(&mut self, pair: &FramePair, budget: Option<Budget>, out: &mut Recognition) {
         let Self {
             pictures,
             rig,
@@ -338,6 +339,13 @@ impl Recognizer {
         for hypothesis in pool.iter() {
             if *explained == EXPLANATIONS_MAX {
                 return;
+            }
+            if let Some(budget) = budget {
+                if budget.is_spent(out.iterations) {
+                    out.out_of_time = true;
+                    return;
+                }
+                out.iterations += 1;
             }
             let prepared = &parts[hypothesis.part];
             let takes_taken_end = hypothesis.nodes.iter().filter(|n| **n != UNMATCHED).any(|&n| {
