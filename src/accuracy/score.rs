@@ -128,7 +128,10 @@ impl Score {
     pub fn row(&self, name: &str) -> String {
         let share =
             |a: usize, b: usize| if b == 0 { "-".into() } else { format!("{:.3}", a as f64 / b as f64) };
-        let two = |v: &[f64]| format!("{:.2} · {:.2}", percentile(v, 0.5), percentile(v, 0.95));
+        let two = |v: &[f64]| match v {
+            [] => "-".into(),
+            _ => format!("{:.2} · {:.2}", percentile(v, 0.5), percentile(v, 0.95)),
+        };
         let within = |limit: f64| {
             let n = self.sigmas.iter().filter(|s| **s <= limit).count();
             if self.sigmas.is_empty() {
