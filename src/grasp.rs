@@ -39,6 +39,9 @@ pub enum Blocked {
     /// The pose is not known well enough.
     #[error("pose too uncertain")]
     Uncertain,
+    /// Time was over before all wire was looked at: what may lie on the part is not known.
+    #[error("time was over before all wire was looked at")]
+    OutOfTime,
 }
 
 /// What limits the grasps.

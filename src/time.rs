@@ -53,6 +53,14 @@ impl Budget {
         }
     }
 
+    /// The same where an iteration takes so long that the clock is worth reading every time.
+    pub fn is_spent_now(&self, used: u64) -> bool {
+        match *self {
+            Budget::Iterations(n) => used >= n,
+            Budget::Until(end) => Timestamp::now() >= end,
+        }
+    }
+
     /// The budget that is left after `used` iterations.
     pub fn less(self, used: u64) -> Budget {
         match self {

@@ -149,6 +149,7 @@ pub struct ColdSeat {
 pub struct Hub {
     letters: [Consumer<Letter>; 4],
     free: [Producer<Frame>; 2],
+    #[expect(clippy::vec_box, reason = "files are large and handed on by their boxes")]
     stock: Vec<Box<File>>,
     papers: Producer<Paper>,
     records: Producer<PlaceRecord>,

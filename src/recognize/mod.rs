@@ -193,12 +193,20 @@ impl Recognizer {
             taken.clear();
             taken.resize(picture.nodes().len(), false);
         }
-        self.explain(pair, None, out);
-        if !budget.is_spent(out.iterations) && self.search_ridges(pair) {
-            self.explain(pair, Some(budget), out);
+        // A count of iterations is for the searches; their best results are always looked at.
+        let clock = if let Budget::Until(_) = budget { budget } else { Budget::Iterations(u64::MAX) };
+        self.explain(pair, clock, 0, out);
+        if !budget.is_spent_now(out.iterations) && self.search_ridges(pair) {
+            self.explain(pair, budget, 1, out);
         }
         self.compete(out);
         self.grasp(out);
+        if clock.is_spent_now(0) {
+            out.out_of_time = true;
+            for found in &mut out.parts {
+                found.blocked.get_or_insert(Blocked::OutOfTime);
+            }
+        }
         out.no_pick = self.no_pick(out);
         let end = Timestamp::now();
         stages.match_ns = matched.since(seen).max(0) as u64;
@@ -316,9 +324,8 @@ impl Recognizer {
     }
 
     /// Refines and judges the hypotheses, each pose once. Wire and ends that a certain explanation has are not
-    /// explained again. With a budget each hypothesis costs an iteration, and those that it does not last for are
-    /// left.
-    fn explain(&mut self, pair: &FramePair, budget: Option<Budget>, out: &mut Recognition) {
+    /// explained again. Each hypothesis costs so many iterations, and those that the budget does not last for are left.
+    fn explain(&mut self, pair: &FramePair, budget: Budget, cost: u64, out: &mut Recognition) {
         let Self {
             pictures,
             rig,
@@ -340,13 +347,11 @@ impl Recognizer {
             if *explained == EXPLANATIONS_MAX {
                 return;
             }
-            if let Some(budget) = budget {
-                if budget.is_spent(out.iterations) {
-                    out.out_of_time = true;
-                    return;
-                }
-                out.iterations += 1;
+            if budget.is_spent_now(out.iterations) {
+                out.out_of_time = true;
+                return;
             }
+            out.iterations += cost;
             let prepared = &parts[hypothesis.part];
             let takes_taken_end = hypothesis.nodes.iter().filter(|n| **n != UNMATCHED).any(|&n| {
                 let node = &search.nodes()[n as usize];
@@ -508,10 +513,11 @@ impl Recognizer {
         if out.parts.iter().any(|p| p.blocked.is_none()) {
             return None;
         }
-        Some(if !out.parts.is_empty() {
-            NoPick::AllBlocked
-        } else if out.out_of_time {
+        let late = |p: &FoundPart| p.blocked == Some(Blocked::OutOfTime);
+        Some(if out.parts.iter().any(late) || (out.parts.is_empty() && out.out_of_time) {
             NoPick::OutOfTime
+        } else if !out.parts.is_empty() {
+            NoPick::AllBlocked
         } else if self.pictures.iter().all(|p| p.graph().edges.is_empty()) {
             NoPick::BinEmpty
         } else {

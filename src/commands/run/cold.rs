@@ -16,7 +16,7 @@ use crate::cell::core::{Note, PairReport, TargetEnd};
 use crate::cell::desk::{ColdSeat, Desk, File, Letter, Paper};
 use crate::cell::notify;
 use crate::cell::realtime::resident_bytes;
-use crate::config::{Backend, Cell};
+use crate::config::{Backend, Cell, Pace};
 use crate::part::Part;
 use crate::recognize::FoundPart;
 use crate::rig::Rig;
@@ -57,9 +57,9 @@ impl Cold {
         parts: Vec<Part>,
         names: Vec<String>,
         period: Duration,
-        fast: bool,
     ) -> Result<Self, RunError> {
         let replayed = cell.cameras.backend == Backend::Replay;
+        let fast = replayed && cell.cameras.pace == Pace::Fast;
         let draw = args.soak.is_none() && args.overlay.map_or(replayed, |overlay| overlay == Overlays::All);
         let studio = match draw {
             true => {

@@ -49,7 +49,7 @@ pub fn run(args: &RunArgs) -> Result<(), RunError> {
     threads::obey_signals(Arc::clone(&controls)).map_err(RunError::System)?;
     let in_base = cell.rig.base_from_left.is_some();
     let Seats { grabs, recognise, cold, hub } = seats;
-    let mut cold = Cold::new(args, &cell, (Arc::clone(&desk), cold), &rig, parts, names, period, fast)?;
+    let mut cold = Cold::new(args, &cell, (Arc::clone(&desk), cold), &rig, parts, names, period)?;
     notify::ready();
     let ending = if fast {
         let sides: Vec<_> = steps.into_iter().flatten().collect();

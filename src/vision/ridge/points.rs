@@ -30,22 +30,22 @@ struct Kernels {
 impl Kernels {
     fn new(sigma: f64) -> Self {
         let reach = ((3.0 * sigma).ceil() as usize).min(REACH_MAX);
-        let mut taps = [[0.0; TAPS_MAX]; 3];
+        let [mut plain, mut first, mut second] = [[0f32; TAPS_MAX]; 3];
         let weight = |t: f64| (-t * t / (2.0 * sigma * sigma)).exp();
         let offset = |k: usize| k as f64 - reach as f64;
         let sum: f64 = (0..=2 * reach).map(|k| weight(offset(k))).sum();
         for k in 0..=2 * reach {
             let t = offset(k);
             let g = weight(t) / sum;
+            plain[k] = g as f32;
             // Correlated, not convolved: the sign of the first derivative is turned.
-            taps[0][k] = g as f32;
-            taps[1][k] = (g * t / (sigma * sigma)) as f32;
-            taps[2][k] = (g * (t * t / (sigma * sigma) - 1.0) / (sigma * sigma)) as f32;
+            first[k] = (g * t / (sigma * sigma)) as f32;
+            second[k] = (g * (t * t / (sigma * sigma) - 1.0) / (sigma * sigma)) as f32;
         }
         // What cutting the window off leaves of a flat picture's second derivative.
-        let rest = taps[2].iter().sum::<f32>() / (2 * reach + 1) as f32;
-        taps[2][..=2 * reach].iter_mut().for_each(|t| *t -= rest);
-        Self { reach, taps }
+        let rest = second.iter().sum::<f32>() / (2 * reach + 1) as f32;
+        second[..=2 * reach].iter_mut().for_each(|t| *t -= rest);
+        Self { reach, taps: [plain, first, second] }
     }
 }
 
