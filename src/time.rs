@@ -53,11 +53,19 @@ impl Budget {
         }
     }
 
-    /// The same where an iteration takes so long that the clock is worth reading every time.
-    pub fn is_spent_now(&self, used: u64) -> bool {
-        match *self {
-            Budget::Iterations(n) => used >= n,
-            Budget::Until(end) => Timestamp::now() >= end,
+    /// Whether its moment has come; a count of iterations has none.
+    pub fn is_over(&self) -> bool {
+        matches!(*self, Budget::Until(end) if Timestamp::now() >= end)
+    }
+
+    /// Half of the time that is left; a count of iterations stays.
+    pub fn half(self) -> Budget {
+        match self {
+            Budget::Until(end) => {
+                let now = Timestamp::now();
+                Budget::Until(Timestamp(now.0 + end.since(now) / 2))
+            }
+            iterations => iterations,
         }
     }
 

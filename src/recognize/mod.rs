@@ -185,7 +185,8 @@ impl Recognizer {
         let nodes = |p: &Picture| p.graph().nodes.len();
         (out.nodes_left, out.nodes_right) = (nodes(&self.pictures[0]), nodes(&self.pictures[1]));
         let seen = Timestamp::now();
-        self.search(budget, seed, out);
+        // What is found must be looked at, too, which takes about as long.
+        self.search(budget.half(), seed, out);
         let matched = Timestamp::now();
         self.explained = 0;
         self.claims.iter_mut().for_each(ClaimMap::clear);
@@ -193,15 +194,13 @@ impl Recognizer {
             taken.clear();
             taken.resize(picture.nodes().len(), false);
         }
-        // A count of iterations is for the searches; their best results are always looked at.
-        let clock = if let Budget::Until(_) = budget { budget } else { Budget::Iterations(u64::MAX) };
-        self.explain(pair, clock, 0, out);
-        if !budget.is_spent_now(out.iterations) && self.search_ridges(pair) {
-            self.explain(pair, budget, 1, out);
+        self.explain(pair, budget, out);
+        if !budget.is_over() && self.search_ridges(pair) {
+            self.explain(pair, budget, out);
         }
         self.compete(out);
         self.grasp(out);
-        if clock.is_spent_now(0) {
+        if budget.is_over() {
             out.out_of_time = true;
             for found in &mut out.parts {
                 found.blocked.get_or_insert(Blocked::OutOfTime);
@@ -324,8 +323,9 @@ impl Recognizer {
     }
 
     /// Refines and judges the hypotheses, each pose once. Wire and ends that a certain explanation has are not
-    /// explained again. Each hypothesis costs so many iterations, and those that the budget does not last for are left.
-    fn explain(&mut self, pair: &FramePair, budget: Budget, cost: u64, out: &mut Recognition) {
+    /// explained again. A count of iterations is for the searches: what they find is always looked at; but when time is
+    /// over, the rest is left.
+    fn explain(&mut self, pair: &FramePair, budget: Budget, out: &mut Recognition) {
         let Self {
             pictures,
             rig,
@@ -347,11 +347,10 @@ impl Recognizer {
             if *explained == EXPLANATIONS_MAX {
                 return;
             }
-            if budget.is_spent_now(out.iterations) {
+            if budget.is_over() {
                 out.out_of_time = true;
                 return;
             }
-            out.iterations += cost;
             let prepared = &parts[hypothesis.part];
             let takes_taken_end = hypothesis.nodes.iter().filter(|n| **n != UNMATCHED).any(|&n| {
                 let node = &search.nodes()[n as usize];
