@@ -269,6 +269,17 @@ fn wrong_usage_names_key_value_and_remedy() {
     assert!(refusal(&recognize(&[&pair[..], &both].concat()), 2).contains("cannot be used with"));
 }
 
+#[test]
+fn a_pair_without_time_offers_nothing_and_says_so() {
+    let pair = ["--left", LEFT, "--right", RIGHT, "--format", "json", "--deadline-ms", "0.001"];
+    let rig = ["recognize", "--calibration", "replay/conveyor/calibration.yaml"];
+    let output = pickcell(&[&rig[..], &["--part", "replay/parts/rod-90.toml"], &pair].concat());
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let result = &json_lines(&output)[0];
+    assert_eq!(result["no_pick"], "out of time");
+    assert!(result["parts"].as_array().unwrap().iter().all(|part| !part["blocked"].is_null()));
+}
+
 /// A file of this name and content in a folder of its own.
 fn file(folder: &tempfile::TempDir, name: &str, bytes: &[u8]) -> String {
     let path = folder.path().join(name);
