@@ -140,9 +140,12 @@ impl Score {
                 format!("{:.0} %", 100.0 * n as f64 / self.sigmas.len() as f64)
             }
         };
-        let height = self.height_mm.iter().sum::<f64>() / self.height_mm.len().max(1) as f64;
+        let height = match &self.height_mm[..] {
+            [] => "-".into(),
+            all => format!("{:+.2}", all.iter().sum::<f64>() / all.len() as f64),
+        };
         format!(
-            "| {name} | {} | {} | {} | {} | {} | {} | {} | {} | {height:+.2} | {} · {} | {}/{} | {}/{} | {:.2} |",
+            "| {name} | {} | {} | {} | {} | {} | {} | {} | {} | {height} | {} · {} | {}/{} | {}/{} | {:.2} |",
             self.scenes,
             self.objects,
             share(self.correct, self.detections),

@@ -10,6 +10,8 @@
 //! [`Params::end_lift_radii`] for ends. Both were measured on rendered scenes of seven rigs, over which they differ
 //! by 0.07 and 0.1 radii.
 
+use std::ops::Range;
+
 use nalgebra::{
     Cholesky, Const, Isometry3, Matrix2x3, Matrix3, Matrix6, Point3, Rotation3, SMatrix, SVector,
     Translation3, Vector2, Vector3, Vector6,
@@ -30,6 +32,9 @@ const REWEIGHTINGS: u32 = 4;
 const END_PATIENCE: f64 = 4.0;
 /// Where the width is looked at before an end, in half widths.
 const BARE_HALF_WIDTHS: [f64; 3] = [0.8, 1.6, 2.8];
+/// Seen width of one wire over that of its silhouette: less than this, and a neighbour hides a part of it; more, and
+/// one touches it.
+const ONE_WIRE: Range<f64> = 0.5..1.2;
 /// See [`EndSighting::mask_beyond_px`].
 const HIDDEN_PX_MAX: u32 = 12;
 /// Where an end is looked at side by side, in half widths from the middle.
@@ -346,7 +351,7 @@ impl Refine {
         let near = |px: f64| px.abs() < search_px + 0.5 * half_width_px;
         if let Some((middle, width)) = section.middle_and_width() {
             let ratio = width / (2.0 * half_width_px);
-            if (0.5..1.2).contains(&ratio) {
+            if ONE_WIRE.contains(&ratio) {
                 return near(middle).then_some((middle, section_sigma_px));
             }
         }
@@ -499,7 +504,7 @@ fn lifted(
 }
 
 /// Whether the wire just before an end seen `beyond` pixels beyond its expected place is as wide as one wire: an
-/// end that lies on another wire is not where the bright region ends.
+/// end that lies on another wire is not where the bright region ends, nor one of which a neighbour hides a corner.
 fn end_is_bare(aim: &Aim, beyond: f64, view: &View) -> bool {
     BARE_HALF_WIDTHS.iter().all(|&back| {
         let at = aim.px + aim.along * (beyond - back * aim.half_width_px);
@@ -507,7 +512,8 @@ fn end_is_bare(aim: &Aim, beyond: f64, view: &View) -> bool {
             .across(at, aim.across, aim.half_width_px, 1.5)
             .and_then(|s| s.middle_and_width())
             .is_some_and(|(middle, width)| {
-                width < 2.4 * aim.half_width_px && middle.abs() < 0.5 * aim.half_width_px + 1.0
+                let ratio = width / (2.0 * aim.half_width_px);
+                ONE_WIRE.contains(&ratio) && middle.abs() < 0.5 * aim.half_width_px + 1.0
             })
     })
 }
