@@ -63,6 +63,9 @@ pub struct Params {
     pub coarse_rounds: u32,
     /// Rounds with the grey values, at most.
     pub fine_rounds: u32,
+    /// Share of background along the wire up to which a rough pose is refined of which no end is seen: nothing would
+    /// move it along the wire any more. Twice what [a part may have](crate::matching::select::Params::missing_max).
+    pub missing_max: f64,
 }
 
 impl Default for Params {
@@ -77,6 +80,7 @@ impl Default for Params {
             end_reach_radii: 0.03,
             coarse_rounds: 2,
             fine_rounds: 3,
+            missing_max: 0.16,
         }
     }
 }
@@ -203,6 +207,10 @@ impl Refine {
             // Where touching wires leave the mask nothing to say, the grey values may.
             let _ = self.solve(model, &mut pose, [scale_px, scale_px], 2);
         }
+        let end_seen = self.ends.iter().flatten().flatten().any(|end| end.beyond_px.is_some());
+        if !end_seen && self.missing(model, &pose, views) > self.params.missing_max {
+            return None;
+        }
         let mut fit = None;
         for round in 0..self.params.fine_rounds {
             let (search_px, scales_px) = if round == 0 { (2.5, [1.5, 0.5]) } else { (1.5, [0.7, 0.5]) };
@@ -215,6 +223,21 @@ impl Refine {
             }
         }
         fit
+    }
+
+    /// Share of the wire, the mean of both pictures, where the masks have nothing.
+    fn missing(&self, model: &PoseModel, pose: &Isometry3<f64>, views: &[View; 2]) -> f64 {
+        let (mut looked, mut missing) = (0u32, 0u32);
+        for station in model.stations.iter().step_by(2) {
+            for view in views {
+                looked += 1;
+                let there = self.expect(model, station, pose, view);
+                missing += u32::from(
+                    there.is_none_or(|(px, across)| mask_run(view.mask, px, across, 2.0).is_none()),
+                );
+            }
+        }
+        f64::from(missing) / f64::from(looked.max(1))
     }
 
     /// Moves the expected places by a step of the pose; gives the largest movement in pixels.
