@@ -194,20 +194,24 @@ fn yaw_off_rad(grasp: &Grasp, closing_yaw_rad: f64) -> f64 {
 pub fn lies_over(params: &Params, upper: &Placed, lower: &Placed) -> bool {
     let down = down_in_left(params);
     let reach = upper.model.radius_mm + lower.model.radius_mm;
+    // In the lower part's frame its stations stand as they are.
+    let lower_from_upper = lower.left_from_part.inverse() * upper.left_from_part;
+    let down = lower.left_from_part.rotation.inverse() * down;
+    let beside = |apart: &Vector3<f64>| (apart - down * down.dot(apart)).norm_squared();
     let far = (upper.model.length_mm + lower.model.length_mm) / 2.0 + reach;
-    let centres = upper.left_from_part * upper.model.centre_mm - lower.left_from_part * lower.model.centre_mm;
-    if (centres - down * down.dot(&centres)).norm() > far {
+    let centre = lower.model.centre_mm;
+    if beside(&(lower_from_upper * upper.model.centre_mm - centre)) > far * far {
         return false;
     }
+    let near = lower.model.length_mm / 2.0 + reach;
     upper.model.stations.iter().any(|u| {
-        let at = upper.left_from_part * u.position_mm;
-        lower.model.stations.iter().any(|l| {
-            let apart = at - lower.left_from_part * l.position_mm;
-            let height = -down.dot(&apart);
-            let beside = (apart + down * height).norm();
-            // Stations lie nearer to each other than a thickness: no crossing falls between them.
-            height > OVER_MIN * reach && beside < reach
-        })
+        let at = lower_from_upper * u.position_mm;
+        beside(&(at - centre)) <= near * near
+            && lower.model.stations.iter().any(|l| {
+                let apart = at - l.position_mm;
+                // Stations lie nearer to each other than a thickness: no crossing falls between them.
+                -down.dot(&apart) > OVER_MIN * reach && beside(&apart) < reach * reach
+            })
     })
 }
 

@@ -18,9 +18,9 @@ use nalgebra::{
 };
 
 use super::model::PoseModel;
-use super::section::{Profiler, Section, mask_run, nearest};
+use super::section::{Profiler, Section, mask_run};
 use crate::rig::{CameraModel, Rig};
-use crate::vision::bits::BitImage;
+use crate::vision::bits::{BitImage, nearest};
 
 /// Most measurements of one fit.
 const OBSERVATIONS_MAX: usize = 1024;

@@ -8,7 +8,7 @@ use std::ops::Range;
 use nalgebra::Vector2;
 
 use crate::frame::LumaView;
-use crate::vision::bits::BitImage;
+use crate::vision::bits::{BitImage, nearest};
 
 const SAMPLES_MAX: usize = 96;
 /// How far behind an end it must be floor, in pixels.
@@ -191,13 +191,6 @@ fn outline(profile: &[u8], window: Range<usize>, span: usize, contrast_min: f64)
         Some(crossing(below - 1, below, at))
     });
     (low.is_some() || high.is_some()).then_some(Fall { low, high })
-}
-
-/// The nearest pixel. `f64::round` is a function call on processors without SSE 4.1, which the program may run on.
-#[inline]
-pub fn nearest(px: f64) -> i32 {
-    const ABOVE_ZERO: i32 = 1 << 20;
-    (px + (f64::from(ABOVE_ZERO) + 0.5)) as i32 - ABOVE_ZERO
 }
 
 /// Middle and width of the run of object pixels nearest to `origin` along `across`, looked for up to `search_px`

@@ -174,6 +174,13 @@ impl BitImage {
     }
 }
 
+/// The nearest pixel. `f64::round` is a function call on processors without SSE 4.1, which the program may run on.
+#[inline]
+pub fn nearest(px: f64) -> i32 {
+    const ABOVE_ZERO: i32 = 1 << 20;
+    (px + (f64::from(ABOVE_ZERO) + 0.5)) as i32 - ABOVE_ZERO
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

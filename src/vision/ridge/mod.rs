@@ -15,7 +15,7 @@ mod points;
 
 use nalgebra::{Matrix2, Vector2};
 
-use super::bits::BitImage;
+use super::bits::{BitImage, nearest};
 use super::level::Level;
 use crate::frame::LumaView;
 use points::{Finder, Point};
@@ -141,7 +141,7 @@ impl Ridges {
             loop {
                 at += way;
                 let place = line.origin + line.along * (line.place_of(origin) + at);
-                if !mask.get(place.x.round() as i32, place.y.round() as i32) {
+                if !mask.get(nearest(place.x), nearest(place.y)) {
                     break;
                 }
                 match self.point_near(place, &line) {
@@ -174,11 +174,11 @@ impl Ridges {
         let across = Vector2::new(-line.along.y, line.along.x);
         [0.0, 1.0, -1.0].into_iter().find_map(|beside| {
             let at = place + across * beside;
-            let (x, y) = (at.x.round(), at.y.round());
-            if x < 0.0 || y < 0.0 || x as usize >= self.width {
+            let (x, y) = (usize::try_from(nearest(at.x)).ok()?, usize::try_from(nearest(at.y)).ok()?);
+            if x >= self.width {
                 return None;
             }
-            let index = (*self.map.get(y as usize * self.width + x as usize)?).checked_sub(1)? as usize;
+            let index = (*self.map.get(y * self.width + x)?).checked_sub(1)? as usize;
             let point = &self.points[index];
             let off = (vector(point.at) - line.origin).dot(&across);
             let turn = vector(point.along).dot(&line.along);
@@ -224,8 +224,12 @@ impl Line {
         }
         self.origin = self.sum / self.count;
         let spread = self.squares / self.count - self.origin * self.origin.transpose();
-        let angle = 0.5 * (2.0 * spread.m12).atan2(spread.m11 - spread.m22);
-        let along = Vector2::new(angle.cos(), angle.sin());
+        // The direction in which they are spread most, from the row of the matrix that is longer.
+        let (half, mixed) = ((spread.m11 - spread.m22) / 2.0, spread.m12);
+        let root = (half * half + mixed * mixed).sqrt();
+        let most =
+            if half > 0.0 { Vector2::new(root + half, mixed) } else { Vector2::new(mixed, root - half) };
+        let Some(along) = most.try_normalize(1e-12) else { return };
         self.along = if along.dot(&self.along) < 0.0 { -along } else { along };
     }
 
