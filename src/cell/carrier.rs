@@ -20,7 +20,7 @@ enum Place {
     #[default]
     Free,
     Here(Side, Frame),
-    /// With the recogniser, later with the cold thread, which gives it back to the pool.
+    /// With the recogniser, later with the cold thread, which sends it back.
     Lent,
 }
 

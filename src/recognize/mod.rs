@@ -2,87 +2,39 @@
 //!
 //! Nothing is kept from one pair to the next. After the first pairs nothing is allocated, except by the JPEG decoder.
 
+mod params;
 mod prepared;
 mod result;
+mod spread;
+mod unexplained;
+mod views;
 
 use arrayvec::ArrayVec;
-use nalgebra::{Isometry3, Matrix3, Vector2, Vector3};
+use nalgebra::Vector2;
 
 use crate::frame::{FramePair, LumaView};
 use crate::grasp::{self, Blocked, Placed};
-use crate::matching::fitness::{Judge, UNMATCHED, Weights};
-use crate::matching::gate::GateParams;
-use crate::matching::hypotheses::{self, Hypothesis, SingleParams};
+use crate::matching::fitness::{Judge, UNMATCHED};
+use crate::matching::hypotheses::{self, Hypothesis};
 use crate::matching::lines::{self, Lines};
 use crate::matching::nodes::{self, NodeRole};
-use crate::matching::search::{self, Search};
+use crate::matching::search::Search;
 use crate::matching::select::{self, ClaimMap};
 use crate::part::{NODES_MAX, Part};
 use crate::picture::Picture;
-use crate::pose::refine::{self, Fit, Refine, View};
-use crate::pose::section::Profiler;
+use crate::pose::refine::{Fit, Refine};
 use crate::pose::verify::{Verdict, verify};
 use crate::rig::Rig;
 use crate::time::{Budget, Timestamp};
+use crate::vision::binarize;
 use crate::vision::ridge::{self, Ridges};
-use crate::vision::{binarize, graph, thin};
 
+pub use params::Params;
 use prepared::Prepared;
 pub use result::{FoundNode, FoundPart, NoPick, Recognition, Refusal, Seen, Side, StageTimes};
-
-/// What recognition is told.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Params {
-    /// Which pixels are object, left and right; they may differ in their regions.
-    pub binarize: [binarize::Params; 2],
-    /// How masks are thinned.
-    pub thin: thin::Params,
-    /// Limits of the graphs; `None`: the default for the size.
-    pub graph: Option<graph::Params>,
-    /// How bends are found.
-    pub nodes: nodes::Params,
-    /// Which image nodes may show the same point.
-    pub gate: GateParams,
-    /// Weights of the fitness terms.
-    pub weights: Weights,
-    /// Which search, and its limits.
-    pub search: search::Params,
-    /// What single nodes need to hold a pose.
-    pub single: SingleParams,
-    /// How wires that touch are told apart.
-    pub ridges: ridge::Params,
-    /// What straight wire in space needs to hold a pose.
-    pub lines: lines::Params,
-    /// How poses are refined.
-    pub refine: refine::Params,
-    /// Steepest slope of a straight piece of wire against the level, radians.
-    pub slope_rad_max: f64,
-    /// When an explanation stands.
-    pub select: select::Params,
-    /// What limits the grasps.
-    pub grasp: grasp::Params,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        Self {
-            binarize: Default::default(),
-            thin: Default::default(),
-            graph: None,
-            nodes: Default::default(),
-            gate: Default::default(),
-            weights: Default::default(),
-            search: Default::default(),
-            single: Default::default(),
-            ridges: Default::default(),
-            lines: Default::default(),
-            refine: Default::default(),
-            slope_rad_max: 50f64.to_radians(),
-            select: Default::default(),
-            grasp: Default::default(),
-        }
-    }
-}
+use spread::sigmas;
+use unexplained::{half_width_px, is_claimed, is_explained, unexplained_px};
+use views::{lit, views};
 
 /// An explanation of some wire: a refined hypothesis.
 struct Explanation {
@@ -541,130 +493,4 @@ fn take_end(nodes: &[nodes::ImageNode], at: &Vector2<f64>, taken: &mut [bool]) {
     if let Some(n) = nearest {
         taken[n] = true;
     }
-}
-
-/// Half the width of a wire in a picture, in pixels: what a quarter of its wire does not exceed, for regions of
-/// several wires are wider.
-fn half_width_px(picture: &Picture) -> f64 {
-    let edges = &picture.graph().edges;
-    let length = |below: f32| -> usize {
-        edges.iter().filter(|e| e.half_thickness_px <= below).map(|e| e.points.len()).sum()
-    };
-    let all = length(f32::INFINITY);
-    let quarter = edges.iter().map(|e| e.half_thickness_px).filter(|&h| 4 * length(h) >= all);
-    f64::from(quarter.fold(f32::INFINITY, f32::min).min(HALF_WIDTH_PX_MAX))
-}
-
-/// Length of the skeleton that no part claims, in pixels; `area` becomes where it is.
-fn unexplained_px(picture: &Picture, claims: &ClaimMap, area: &mut ridge::Area) -> f64 {
-    area.clear();
-    let mut count = 0;
-    for &[x, y] in &picture.graph().points {
-        if !claims.is_claimed_by_any(&Vector2::new(x.into(), y.into())) {
-            count += 1;
-            // The mask reaches about half a wire farther than its skeleton, and what is put back there.
-            area.include(x.into(), y.into(), MARGIN_PX);
-        }
-    }
-    f64::from(count)
-}
-
-/// How far beyond the skeleton wire is looked for.
-const MARGIN_PX: usize = 16;
-
-/// Wider wire is not looked at by its ridge.
-const HALF_WIDTH_PX_MAX: f32 = 40.0;
-
-/// Whether most of a stretch is claimed.
-fn is_claimed(claims: &ClaimMap, stretch: &ridge::Stretch) -> bool {
-    let [from, to] = stretch.ends_px;
-    let Some(along) = (to - from).try_normalize(1e-9) else { return true };
-    let across = Vector2::new(-along.y, along.x);
-    let claimed =
-        (0..=8).filter(|&k| claims.is_claimed_at(&(from + (to - from) * (k as f64 / 8.0)), &across));
-    claimed.count() > 6
-}
-
-/// Whether most of the wire that a hypothesis would explain is explained for certain already.
-fn is_explained(
-    refine: &Refine,
-    prepared: &Prepared,
-    hypothesis: &Hypothesis,
-    views: &[View; 2],
-    claims: &[ClaimMap; 2],
-) -> bool {
-    let stations = &prepared.pose_model.stations;
-    let probes = stations.iter().step_by((stations.len() / 8).max(1));
-    let (mut probed, mut claimed) = (0, 0);
-    for station in probes {
-        probed += 1;
-        let at = refine.expect(&prepared.pose_model, station, &hypothesis.left_from_part, &views[0]);
-        claimed += at.is_some_and(|(px, across)| claims[0].is_claimed_at(&px, &across)) as usize;
-    }
-    2 * claimed > probed
-}
-
-/// Refinement as the light wants it: dark parts on a light floor are seen whole, so that the middle
-/// between their outlines is their axis.
-fn lit(params: &Params) -> refine::Params {
-    if params.binarize.iter().any(|b| b.inverted) {
-        refine::Params { lift_radii: 0.0, end_lift_radii: 0.0, outline_ratio: 1.0, ..params.refine }
-    } else {
-        params.refine
-    }
-}
-
-fn views<'a>(
-    pictures: &'a [Picture; 2],
-    rig: &'a Rig,
-    pair: &'a FramePair,
-    params: &Params,
-) -> Option<[View<'a>; 2]> {
-    let view = |picture: &'a Picture, frame, camera, camera_from_left: Isometry3<f64>, inverted| {
-        Some(View {
-            camera,
-            rotation: camera_from_left.rotation.to_rotation_matrix().into_inner(),
-            camera_from_left,
-            profiler: Profiler::new(LumaView::new(picture.raw(frame))?, inverted, CONTRAST_MIN),
-            mask: picture.mask(),
-        })
-    };
-    Some([
-        view(&pictures[0], &pair.left, &rig.left, Isometry3::identity(), params.binarize[0].inverted)?,
-        view(&pictures[1], &pair.right, &rig.right, rig.right_from_left, params.binarize[1].inverted)?,
-    ])
-}
-
-/// Grey levels between wire and background from which an outline is believed.
-const CONTRAST_MIN: f64 = 12.0;
-
-/// Errors of neighbouring sections are alike (shading), so that their mean errs more than if they were not.
-const SIGMA_SCALE: f64 = 1.25;
-
-/// What shading moves all sections of a wire alike, in mm: across, and along the line of sight, where the height of
-/// the lit line above the axis ([`refine::Params::lift_radii`]) and the angle between the cameras multiply it.
-const SHADING_SIGMA_MM: [f64; 2] = [0.03, 0.06];
-
-/// Standard deviations of the grasp's position (along the output frame's axes) and of the wire's direction there.
-fn sigmas(params: &grasp::Params, prepared: &Prepared, fit: &Fit) -> (Vector3<f64>, f64) {
-    let pose = &fit.left_from_part;
-    let arm = pose * prepared.part.grasp.position_mm - pose * prepared.pose_model.centre_mm;
-    let shift = fit.covariance.fixed_view::<3, 3>(0, 0);
-    let turn = fit.covariance.fixed_view::<3, 3>(3, 3);
-    let mixed = fit.covariance.fixed_view::<3, 3>(0, 3);
-    let lever = -arm.cross_matrix();
-    let position =
-        shift + lever * turn * lever.transpose() + mixed * lever.transpose() + lever * mixed.transpose();
-    let sight = pose.translation.vector.normalize();
-    let position = position * (SIGMA_SCALE * fit.misfit.max(1.0)).powi(2)
-        + Matrix3::identity() * SHADING_SIGMA_MM[0].powi(2)
-        + sight * sight.transpose() * SHADING_SIGMA_MM[1].powi(2);
-    let rotation = params.base_from_left.unwrap_or_default().rotation.to_rotation_matrix();
-    let turned = rotation.matrix() * position * rotation.matrix().transpose();
-    let wire = pose * prepared.part.grasp.approach.cross(&prepared.part.grasp.closing);
-    let across = wire.cross_matrix();
-    let axis = across * turn * across.transpose();
-    // Measurements that agree worse than assumed are worth less.
-    let scale = SIGMA_SCALE * fit.misfit.max(1.0);
-    (turned.diagonal().map(|v| v.max(0.0).sqrt()), (axis.trace() / 2.0).max(0.0).sqrt() * scale)
 }

@@ -1,0 +1,63 @@
+//! What recognition is told.
+
+use crate::grasp;
+use crate::matching::fitness::Weights;
+use crate::matching::gate::GateParams;
+use crate::matching::hypotheses::SingleParams;
+use crate::matching::{lines, nodes, search, select};
+use crate::pose::refine;
+use crate::vision::{binarize, graph, ridge, thin};
+
+/// What recognition is told.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Params {
+    /// Which pixels are object, left and right; they may differ in their regions.
+    pub binarize: [binarize::Params; 2],
+    /// How masks are thinned.
+    pub thin: thin::Params,
+    /// Limits of the graphs; `None`: the default for the size.
+    pub graph: Option<graph::Params>,
+    /// How bends are found.
+    pub nodes: nodes::Params,
+    /// Which image nodes may show the same point.
+    pub gate: GateParams,
+    /// Weights of the fitness terms.
+    pub weights: Weights,
+    /// Which search, and its limits.
+    pub search: search::Params,
+    /// What single nodes need to hold a pose.
+    pub single: SingleParams,
+    /// How wires that touch are told apart.
+    pub ridges: ridge::Params,
+    /// What straight wire in space needs to hold a pose.
+    pub lines: lines::Params,
+    /// How poses are refined.
+    pub refine: refine::Params,
+    /// Steepest slope of a straight piece of wire against the level, radians.
+    pub slope_rad_max: f64,
+    /// When an explanation stands.
+    pub select: select::Params,
+    /// What limits the grasps.
+    pub grasp: grasp::Params,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Self {
+            binarize: Default::default(),
+            thin: Default::default(),
+            graph: None,
+            nodes: Default::default(),
+            gate: Default::default(),
+            weights: Default::default(),
+            search: Default::default(),
+            single: Default::default(),
+            ridges: Default::default(),
+            lines: Default::default(),
+            refine: Default::default(),
+            slope_rad_max: 50f64.to_radians(),
+            select: Default::default(),
+            grasp: Default::default(),
+        }
+    }
+}

@@ -1,0 +1,71 @@
+//! Which wire no part explains yet.
+
+use nalgebra::Vector2;
+
+use super::prepared::Prepared;
+use crate::matching::hypotheses::Hypothesis;
+use crate::matching::select::ClaimMap;
+use crate::picture::Picture;
+use crate::pose::refine::{Refine, View};
+use crate::vision::ridge;
+
+/// Half the width of a wire in a picture, in pixels: what a quarter of its wire does not exceed, for regions of
+/// several wires are wider.
+pub(super) fn half_width_px(picture: &Picture) -> f64 {
+    let edges = &picture.graph().edges;
+    let length = |below: f32| -> usize {
+        edges.iter().filter(|e| e.half_thickness_px <= below).map(|e| e.points.len()).sum()
+    };
+    let all = length(f32::INFINITY);
+    let quarter = edges.iter().map(|e| e.half_thickness_px).filter(|&h| 4 * length(h) >= all);
+    f64::from(quarter.fold(f32::INFINITY, f32::min).min(HALF_WIDTH_PX_MAX))
+}
+
+/// Length of the skeleton that no part claims, in pixels; `area` becomes where it is.
+pub(super) fn unexplained_px(picture: &Picture, claims: &ClaimMap, area: &mut ridge::Area) -> f64 {
+    area.clear();
+    let mut count = 0;
+    for &[x, y] in &picture.graph().points {
+        if !claims.is_claimed_by_any(&Vector2::new(x.into(), y.into())) {
+            count += 1;
+            // The mask reaches about half a wire farther than its skeleton, and what is put back there.
+            area.include(x.into(), y.into(), MARGIN_PX);
+        }
+    }
+    f64::from(count)
+}
+
+/// How far beyond the skeleton wire is looked for.
+const MARGIN_PX: usize = 16;
+
+/// Wider wire is not looked at by its ridge.
+const HALF_WIDTH_PX_MAX: f32 = 40.0;
+
+/// Whether most of a stretch is claimed.
+pub(super) fn is_claimed(claims: &ClaimMap, stretch: &ridge::Stretch) -> bool {
+    let [from, to] = stretch.ends_px;
+    let Some(along) = (to - from).try_normalize(1e-9) else { return true };
+    let across = Vector2::new(-along.y, along.x);
+    let claimed =
+        (0..=8).filter(|&k| claims.is_claimed_at(&(from + (to - from) * (k as f64 / 8.0)), &across));
+    claimed.count() > 6
+}
+
+/// Whether most of the wire that a hypothesis would explain is explained for certain already.
+pub(super) fn is_explained(
+    refine: &Refine,
+    prepared: &Prepared,
+    hypothesis: &Hypothesis,
+    views: &[View; 2],
+    claims: &[ClaimMap; 2],
+) -> bool {
+    let stations = &prepared.pose_model.stations;
+    let probes = stations.iter().step_by((stations.len() / 8).max(1));
+    let (mut probed, mut claimed) = (0, 0);
+    for station in probes {
+        probed += 1;
+        let at = refine.expect(&prepared.pose_model, station, &hypothesis.left_from_part, &views[0]);
+        claimed += at.is_some_and(|(px, across)| claims[0].is_claimed_at(&px, &across)) as usize;
+    }
+    2 * claimed > probed
+}
