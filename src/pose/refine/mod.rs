@@ -10,35 +10,32 @@
 //! [`Params::end_lift_radii`] for ends. Both were measured on rendered scenes of seven rigs, over which they differ
 //! by 0.07 and 0.1 radii.
 
-use std::ops::Range;
+mod aim;
+mod equations;
 
-use nalgebra::{
-    Cholesky, Const, Isometry3, Matrix2x3, Matrix3, Matrix6, Point3, Rotation3, SMatrix, SVector,
-    Translation3, Vector2, Vector3, Vector6,
-};
+use arrayvec::ArrayVec;
+use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Rotation3, Translation3, Vector2, Vector3, Vector6};
+
+use aim::{ONE_WIRE, aim, end_is_bare, lifted, mask_beyond_px};
+use equations::{Doubt, Equations, Measurement, Solution};
 
 use super::model::PoseModel;
 use super::section::{Profiler, Section, mask_run};
 use crate::rig::{CameraModel, Rig};
 use crate::vision::bits::{BitImage, nearest};
+use crate::vision::level::Level;
 
-/// Most measurements of one fit.
-const OBSERVATIONS_MAX: usize = 1024;
+/// Most stations of a part that are looked at.
+const STATIONS_MAX: usize = 1024;
 /// Every so many stations are looked at while the pose is rough.
 const COARSE_STRIDE: usize = 3;
-/// Rounds of reweighting on one set of measurements.
-const REWEIGHTINGS: u32 = 4;
-/// See [`Observation::patience`].
+/// See [`Measurement::patience`].
 const END_PATIENCE: f64 = 4.0;
-/// Where the width is looked at before an end, in half widths.
-const BARE_HALF_WIDTHS: [f64; 3] = [0.8, 1.6, 2.8];
-/// Seen width of one wire over that of its silhouette: less than this, and a neighbour hides a part of it; more, and
-/// one touches it.
-const ONE_WIRE: Range<f64> = 0.5..1.2;
-/// See [`EndSighting::mask_beyond_px`].
-const HIDDEN_PX_MAX: u32 = 12;
 /// Where an end is looked at side by side, in half widths from the middle.
 const END_RAYS: [f64; 5] = [-0.5, -0.25, 0.0, 0.25, 0.5];
+/// How far the outlines are looked for at first and later, and the residuals at which belief has halved, in pixels.
+const FINE_FIRST: (f64, [f64; 4]) = (2.5, [1.5, 3.5 / 3.0, 2.5 / 3.0, 0.5]);
+const FINE_NEXT: (f64, [f64; 4]) = (1.5, [0.7, 1.9 / 3.0, 1.7 / 3.0, 0.5]);
 /// A pose that moved the wire by less than this in the pictures need not be looked at again.
 const SETTLED_PX: f64 = 0.7;
 
@@ -144,32 +141,10 @@ pub struct Fit {
     pub believed: usize,
 }
 
-struct Observation {
-    residual: f64,
-    gradient: Vector6<f64>,
-    sigma: f64,
-    /// Residual at which belief has halved, over that of a section: an end is seldom mistaken.
-    patience: f64,
-    /// The picture whose shading moves it, if any.
-    shaded: Option<usize>,
-}
-
-/// Normal equations, decomposed, and how well the weighted observations agree.
-struct Weighed {
-    normal: Cholesky<f64, Const<8>>,
-    right_side: Unknowns,
-    misfit: f64,
-    believed: usize,
-}
-
-/// Displacement and rotation of the part, then the offset of all sections in each picture.
-type Unknowns = SVector<f64, 8>;
-type Normal = SMatrix<f64, 8, 8>;
-
 /// Workspace of pose refinement.
 pub struct Refine {
     params: Params,
-    observations: Vec<Observation>,
+    equations: Equations,
     sightings: Vec<[Option<Sighting>; 2]>,
     ends: Vec<[Option<EndSighting>; 2]>,
     eye: Point3<f64>,
@@ -181,8 +156,8 @@ impl Refine {
         let right_eye = rig.right_from_left.inverse() * Point3::origin();
         Self {
             params,
-            observations: Vec::with_capacity(OBSERVATIONS_MAX),
-            sightings: Vec::with_capacity(OBSERVATIONS_MAX),
+            equations: Equations::new(Level::detect()),
+            sightings: Vec::with_capacity(STATIONS_MAX),
             ends: Vec::with_capacity(64),
             eye: nalgebra::center(&Point3::origin(), &right_eye),
         }
@@ -205,24 +180,31 @@ impl Refine {
             let (search_px, scale_px) = if round == 0 { (7.0, 4.0) } else { (4.0, 2.0) };
             self.observe_masks(model, &pose, views, search_px);
             // Where touching wires leave the mask nothing to say, the grey values may.
-            let _ = self.solve(model, &mut pose, [scale_px, scale_px], 2);
+            let _ = self.solve(model, &mut pose, &[scale_px; 2]);
         }
         let end_seen = self.ends.iter().flatten().flatten().any(|end| end.beyond_px.is_some());
         if !end_seen && self.missing(model, &pose, views) > self.params.missing_max {
             return None;
         }
-        let mut fit = None;
+        let mut last = None;
         for round in 0..self.params.fine_rounds {
-            let (search_px, scales_px) = if round == 0 { (2.5, [1.5, 0.5]) } else { (1.5, [0.7, 0.5]) };
+            let (search_px, scales_px) = if round == 0 { FINE_FIRST } else { FINE_NEXT };
             self.look(model, &pose, views, search_px);
             self.observe_outlines(model, search_px);
-            let (now, step) = self.solve(model, &mut pose, scales_px, REWEIGHTINGS)?;
-            fit = Some(now);
-            if self.shift(&step) < SETTLED_PX {
+            let solution = self.solve(model, &mut pose, &scales_px)?;
+            let shift_px = self.shift(&solution.step);
+            last = Some(solution);
+            if shift_px < SETTLED_PX {
                 break;
             }
         }
-        fit
+        let solution = last?;
+        Some(Fit {
+            left_from_part: pose,
+            covariance: solution.covariance(),
+            misfit: solution.misfit,
+            believed: solution.believed,
+        })
     }
 
     /// Share of the wire, the mean of both pictures, where the masks have nothing.
@@ -264,7 +246,7 @@ impl Refine {
         let centre = pose * model.centre_mm;
         let Self { sightings, params, eye, .. } = self;
         sightings.clear();
-        for station in model.stations.iter().take(OBSERVATIONS_MAX) {
+        for station in model.stations.iter().take(STATIONS_MAX) {
             let (point, tangent) = (pose * station.position_mm, pose.rotation * station.tangent);
             let lifted = lifted(params.lift_radii, eye, model.radius_mm, &point, &tangent);
             sightings.push([0, 1].map(|side| {
@@ -318,7 +300,7 @@ impl Refine {
     }
 
     fn observe_masks(&mut self, model: &PoseModel, pose: &Isometry3<f64>, views: &[View; 2], search_px: f64) {
-        self.observations.clear();
+        self.equations.clear();
         let centre = pose * model.centre_mm;
         for station in model.stations.iter().step_by(COARSE_STRIDE).filter(|s| !s.at_joint) {
             let (point, tangent) = (pose * station.position_mm, pose.rotation * station.tangent);
@@ -341,7 +323,7 @@ impl Refine {
     }
 
     fn observe_outlines(&mut self, model: &PoseModel, search_px: f64) {
-        self.observations.clear();
+        self.equations.clear();
         for (k, station) in model.stations.iter().enumerate().take(self.sightings.len()) {
             if station.at_joint {
                 continue;
@@ -393,97 +375,25 @@ impl Refine {
     fn push(
         &mut self,
         gradient: Vector6<f64>,
-        residual: f64,
-        sigma: f64,
+        residual_px: f64,
+        sigma_px: f64,
         patience: f64,
         shaded: Option<usize>,
     ) {
-        if self.observations.len() < OBSERVATIONS_MAX {
-            self.observations.push(Observation { residual, gradient, sigma, patience, shaded });
-        }
+        self.equations.push(&Measurement { residual_px, gradient, sigma_px, patience, shaded });
     }
 
-    /// Solves for the step of the pose that explains the observations, reweighted `rounds` times while the residual
-    /// at which belief has halved goes from the first of `scales_px` to the second. Moves `pose`; gives the fit and
-    /// the step.
-    fn solve(
-        &mut self,
-        model: &PoseModel,
-        pose: &mut Isometry3<f64>,
-        scales_px: [f64; 2],
-        rounds: u32,
-    ) -> Option<(Fit, Vector6<f64>)> {
-        let along = model.straight_along.map(|a| pose.rotation * a);
-        let mut unknowns = Unknowns::zeros();
-        let mut last = None;
-        for round in 0..rounds {
-            let progress = f64::from(round) / f64::from(rounds.max(2) - 1);
-            let scale =
-                (scales_px[0] + (scales_px[1] - scales_px[0]) * progress) / self.params.section_sigma_px;
-            let weighed = self.weigh(along.as_ref(), &unknowns, scale)?;
-            unknowns = weighed.normal.solve(&weighed.right_side);
-            if !unknowns.iter().all(|v: &f64| v.is_finite()) {
-                return None;
-            }
-            last = Some(weighed);
-        }
-        let Weighed { normal, misfit, believed, .. } = last?;
-        let step: Vector6<f64> = unknowns.fixed_rows::<6>(0).into();
-        *pose = moved(pose, &model.centre_mm, &step);
-        let covariance = normal.inverse().fixed_view::<6, 6>(0, 0).into();
-        Some((Fit { left_from_part: *pose, covariance, misfit, believed }, step))
-    }
-
-    /// The normal equations with the weights that the residuals after `unknowns` earn.
-    fn weigh(&self, along: Option<&Vector3<f64>>, unknowns: &Unknowns, scale: f64) -> Option<Weighed> {
-        let mut normal = Normal::zeros();
-        let mut right_side = Unknowns::zeros();
-        let step: Vector6<f64> = unknowns.fixed_rows::<6>(0).into();
-        let (mut weights, mut squares, mut believed) = (0.0, 0.0, 0);
-        for o in &self.observations {
-            let offset = o.shaded.map_or(0.0, |side| unknowns[6 + side]);
-            let e = (o.residual - o.gradient.dot(&step) - offset) / o.sigma;
-            let belief = 1.0 / (1.0 + (e / (scale * o.patience)).powi(2));
-            let weight = belief * belief;
-            let w = weight / (o.sigma * o.sigma);
-            let g = &o.gradient;
-            // The lower half is enough for the Cholesky decomposition.
-            for c in 0..6 {
-                let gc = g[c] * w;
-                for r in c..6 {
-                    normal[(r, c)] += g[r] * gc;
-                }
-                right_side[c] += gc * o.residual;
-            }
-            if let Some(side) = o.shaded {
-                for c in 0..6 {
-                    normal[(6 + side, c)] += g[c] * w;
-                }
-                normal[(6 + side, 6 + side)] += w;
-                right_side[6 + side] += w * o.residual;
-            }
-            weights += weight;
-            squares += weight * e * e;
-            believed += usize::from(weight > 0.5);
-        }
-        if believed < 6 {
-            return None;
-        }
-        if let Some(a) = along {
-            for c in 0..3 {
-                for r in c..3 {
-                    normal[(3 + r, 3 + c)] += a[r] * a[c] * 1e6;
-                }
-            }
-        }
-        // What the pictures do not fix stays where it was: 5 mm, 0.2 rad.
-        for i in 0..6 {
-            normal[(i, i)] += if i < 3 { 1.0 / 25.0 } else { 1.0 / 0.04 };
-        }
-        for i in 6..8 {
-            normal[(i, i)] += self.params.shading_sigma_px.powi(-2);
-        }
-        Some(Weighed { normal: normal.cholesky()?, right_side, misfit: (squares / weights).sqrt(), believed })
+    /// Moves `pose` by the step that explains the measurements while the residual at which belief has halved goes from
+    /// the first of `scales_px` to the last.
+    fn solve(&self, model: &PoseModel, pose: &mut Isometry3<f64>, scales_px: &[f64]) -> Option<Solution> {
+        let scales: ArrayVec<f64, 4> = scales_px.iter().map(|px| px / self.params.section_sigma_px).collect();
+        let solution = self.equations.solve(&Doubt {
+            scales: &scales,
+            shading_sigma_px: self.params.shading_sigma_px,
+            along: model.straight_along.map(|a| pose.rotation * a),
+        })?;
+        *pose = moved(pose, &model.centre_mm, &solution.step);
+        Some(solution)
     }
 
     /// Where a station is expected in one picture, without looking: place and direction across.
@@ -513,43 +423,6 @@ impl Refine {
     }
 }
 
-/// The point whose picture the middle of the outline is: above the axis, towards the cameras, where the light is.
-fn lifted(
-    lift_radii: f64,
-    eye: &Point3<f64>,
-    radius_mm: f64,
-    point: &Point3<f64>,
-    tangent: &Vector3<f64>,
-) -> Point3<f64> {
-    let to_eye = eye - point;
-    let across = to_eye - tangent * tangent.dot(&to_eye);
-    point + across * (lift_radii * radius_mm / across.norm().max(1e-9))
-}
-
-/// Whether the wire just before an end seen `beyond` pixels beyond its expected place is as wide as one wire: an
-/// end that lies on another wire is not where the bright region ends, nor one of which a neighbour hides a corner.
-fn end_is_bare(aim: &Aim, beyond: f64, view: &View) -> bool {
-    BARE_HALF_WIDTHS.iter().all(|&back| {
-        let at = aim.px + aim.along * (beyond - back * aim.half_width_px);
-        view.profiler
-            .across(at, aim.across, aim.half_width_px, 1.5)
-            .and_then(|s| s.middle_and_width())
-            .is_some_and(|(middle, width)| {
-                let ratio = width / (2.0 * aim.half_width_px);
-                ONE_WIRE.contains(&ratio) && middle.abs() < 0.5 * aim.half_width_px + 1.0
-            })
-    })
-}
-
-/// How far the mask goes on along a wire beyond its expected end.
-fn mask_beyond_px(mask: &BitImage, aim: &Aim) -> f64 {
-    let object = |k: u32| {
-        let at = aim.px + aim.along * f64::from(k);
-        mask.get(nearest(at.x), nearest(at.y))
-    };
-    f64::from((0..HIDDEN_PX_MAX).find(|&k| !object(k + 1)).unwrap_or(HIDDEN_PX_MAX))
-}
-
 /// `pose`, displaced and turned about the part's centre by a small twist in the left camera's axes.
 fn moved(pose: &Isometry3<f64>, centre_mm: &Point3<f64>, twist: &Vector6<f64>) -> Isometry3<f64> {
     let centre = (pose * centre_mm).coords;
@@ -557,39 +430,4 @@ fn moved(pose: &Isometry3<f64>, centre_mm: &Point3<f64>, twist: &Vector6<f64>) -
     let turn = Rotation3::new(Vector3::from(twist.fixed_rows::<3>(3)));
     let about_centre = Isometry3::from_parts(Translation3::from(centre + shift), turn.into());
     about_centre * Translation3::from(-centre) * pose
-}
-
-/// Where and how a piece of wire is expected in one picture.
-struct Aim {
-    px: Vector2<f64>,
-    along: Vector2<f64>,
-    across: Vector2<f64>,
-    half_width_px: f64,
-    /// Pixels per mm in the left camera's axes.
-    jacobian: Matrix2x3<f64>,
-}
-
-impl Aim {
-    /// Gradient of the pixel's movement along `direction` by displacement and rotation about a centre `arm` away.
-    fn gradient(&self, direction: &Vector2<f64>, arm: &Vector3<f64>) -> Vector6<f64> {
-        let force: Vector3<f64> = self.jacobian.tr_mul(direction);
-        let torque = arm.cross(&force);
-        Vector6::new(force.x, force.y, force.z, torque.x, torque.y, torque.z)
-    }
-}
-
-fn aim(radius_mm: f64, point: &Point3<f64>, tangent: &Vector3<f64>, view: &View) -> Option<Aim> {
-    let in_camera = Point3::from(view.rotation * point.coords + view.camera_from_left.translation.vector);
-    let (px, jacobian) = view.camera.project_with_jacobian(&in_camera)?;
-    let jacobian = jacobian * view.rotation;
-    let along = jacobian * tangent;
-    let norm = along.norm();
-    if norm < 1e-6 {
-        return None;
-    }
-    let along = along / norm;
-    let across = Vector2::new(-along.y, along.x);
-    // A radius at right angles to the line of sight, as many pixels as the picture moves across the wire.
-    let half_width_px = radius_mm * jacobian.tr_mul(&across).norm();
-    Some(Aim { px, along, across, half_width_px, jacobian })
 }

@@ -1,0 +1,88 @@
+//! Where a piece of wire is expected in one picture, and what is seen of it there.
+
+use std::ops::Range;
+
+use nalgebra::{Matrix2x3, Point3, Vector2, Vector3, Vector6};
+
+use super::View;
+use crate::vision::bits::{BitImage, nearest};
+
+/// Where the width is looked at before an end, in half widths.
+const BARE_HALF_WIDTHS: [f64; 3] = [0.8, 1.6, 2.8];
+/// Seen width of one wire over that of its silhouette: less than this, and a neighbour hides a part of it; more, and
+/// one touches it.
+pub(super) const ONE_WIRE: Range<f64> = 0.5..1.2;
+/// See [`super::EndSighting::mask_beyond_px`].
+const HIDDEN_PX_MAX: u32 = 12;
+
+/// Where and how a piece of wire is expected in one picture.
+pub(super) struct Aim {
+    pub(super) px: Vector2<f64>,
+    pub(super) along: Vector2<f64>,
+    pub(super) across: Vector2<f64>,
+    pub(super) half_width_px: f64,
+    /// Pixels per mm in the left camera's axes.
+    jacobian: Matrix2x3<f64>,
+}
+
+impl Aim {
+    /// Gradient of the pixel's movement along `direction` by displacement and rotation about a centre `arm` away.
+    pub(super) fn gradient(&self, direction: &Vector2<f64>, arm: &Vector3<f64>) -> Vector6<f64> {
+        let force: Vector3<f64> = self.jacobian.tr_mul(direction);
+        let torque = arm.cross(&force);
+        Vector6::new(force.x, force.y, force.z, torque.x, torque.y, torque.z)
+    }
+}
+
+pub(super) fn aim(radius_mm: f64, point: &Point3<f64>, tangent: &Vector3<f64>, view: &View) -> Option<Aim> {
+    let in_camera = Point3::from(view.rotation * point.coords + view.camera_from_left.translation.vector);
+    let (px, jacobian) = view.camera.project_with_jacobian(&in_camera)?;
+    let jacobian = jacobian * view.rotation;
+    let along = jacobian * tangent;
+    let norm = along.norm();
+    if norm < 1e-6 {
+        return None;
+    }
+    let along = along / norm;
+    let across = Vector2::new(-along.y, along.x);
+    // A radius at right angles to the line of sight, as many pixels as the picture moves across the wire.
+    let half_width_px = radius_mm * jacobian.tr_mul(&across).norm();
+    Some(Aim { px, along, across, half_width_px, jacobian })
+}
+
+/// The point whose picture the middle of the outline is: above the axis, towards the cameras, where the light is.
+pub(super) fn lifted(
+    lift_radii: f64,
+    eye: &Point3<f64>,
+    radius_mm: f64,
+    point: &Point3<f64>,
+    tangent: &Vector3<f64>,
+) -> Point3<f64> {
+    let to_eye = eye - point;
+    let across = to_eye - tangent * tangent.dot(&to_eye);
+    point + across * (lift_radii * radius_mm / across.norm().max(1e-9))
+}
+
+/// Whether the wire just before an end seen `beyond` pixels beyond its expected place is as wide as one wire: an
+/// end that lies on another wire is not where the bright region ends, nor one of which a neighbour hides a corner.
+pub(super) fn end_is_bare(aim: &Aim, beyond: f64, view: &View) -> bool {
+    BARE_HALF_WIDTHS.iter().all(|&back| {
+        let at = aim.px + aim.along * (beyond - back * aim.half_width_px);
+        view.profiler
+            .across(at, aim.across, aim.half_width_px, 1.5)
+            .and_then(|s| s.middle_and_width())
+            .is_some_and(|(middle, width)| {
+                let ratio = width / (2.0 * aim.half_width_px);
+                ONE_WIRE.contains(&ratio) && middle.abs() < 0.5 * aim.half_width_px + 1.0
+            })
+    })
+}
+
+/// How far the mask goes on along a wire beyond its expected end.
+pub(super) fn mask_beyond_px(mask: &BitImage, aim: &Aim) -> f64 {
+    let object = |k: u32| {
+        let at = aim.px + aim.along * f64::from(k);
+        mask.get(nearest(at.x), nearest(at.y))
+    };
+    f64::from((0..HIDDEN_PX_MAX).find(|&k| !object(k + 1)).unwrap_or(HIDDEN_PX_MAX))
+}
