@@ -82,6 +82,8 @@ pub struct Stop {
     pub position_mm: Point3<f64>,
     /// Unit direction in the part's frame.
     pub onward: Vector3<f64>,
+    /// Index of the free end that it is, if it is one.
+    pub end: Option<usize>,
 }
 
 /// How far onward is looked, in thicknesses.
@@ -164,7 +166,8 @@ fn judge_ends(refine: &Refine, verdict: &mut Verdict) {
     }
 }
 
-/// How far clean wire goes on beyond a stop, the mean of both pictures.
+/// How far clean wire goes on beyond a stop, the mean of both pictures. Where both see the end, floor lies behind it,
+/// and what comes then is another's.
 fn overrun_mm(
     refine: &Refine,
     model: &PoseModel,
@@ -182,6 +185,10 @@ fn overrun_mm(
             })
         })
     };
+    let end = stop.end.and_then(|end| refine.ends().get(end));
+    if end.is_some_and(|end| end.iter().all(|side| side.is_some_and(|e| e.beyond_px.is_some()))) {
+        return 0.0;
+    }
     let reached: usize =
         views.iter().map(|view| ONWARD_THICKNESSES.iter().filter(|&&b| clean(b, view)).count()).sum();
     reached as f64 * model.radius_mm

@@ -23,7 +23,7 @@ impl Prepared {
     pub(super) fn new(part: Part) -> Self {
         let pose_model = PoseModel::new(&part);
         let match_model = MatchModel::new(&part);
-        let stops = stops_of(&match_model);
+        let stops = stops_of(&match_model, &pose_model);
         Self { part, pose_model, match_model, stops }
     }
 
@@ -90,13 +90,15 @@ impl Prepared {
 }
 
 /// Where the wire of a part stops or turns away.
-fn stops_of(model: &MatchModel) -> Vec<Stop> {
+fn stops_of(model: &MatchModel, pose_model: &PoseModel) -> Vec<Stop> {
     let mut stops = Vec::new();
     for anchor in &model.anchors {
         for (leg, _) in &anchor.legs {
             let goes_on = anchor.legs.iter().any(|(other, _)| other.dot(leg) < -0.9);
             if !goes_on {
-                stops.push(Stop { position_mm: anchor.position_mm, onward: -leg });
+                let end =
+                    pose_model.ends.iter().position(|e| (e.position_mm - anchor.position_mm).norm() < 1e-6);
+                stops.push(Stop { position_mm: anchor.position_mm, onward: -leg, end });
             }
         }
     }
