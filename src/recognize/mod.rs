@@ -10,7 +10,7 @@ mod unexplained;
 mod views;
 
 use arrayvec::ArrayVec;
-use nalgebra::Vector2;
+use nalgebra::{Isometry3, Vector2};
 
 use crate::frame::{FramePair, LumaView};
 use crate::grasp::{self, Blocked, Placed};
@@ -308,27 +308,23 @@ impl Recognizer {
                 let node = &search.nodes()[n as usize];
                 ends_taken[0][node.left as usize] || ends_taken[1][node.right as usize]
             });
-            if takes_taken_end
-                || is_explained(refine, prepared, hypothesis, &views, claims)
-                || prepared.is_among(
-                    &explanations[..*explained],
-                    hypothesis,
-                    &hypothesis.left_from_part,
-                    SAME_ROUGH_MM,
-                )
-            {
+            if takes_taken_end || is_explained(refine, prepared, hypothesis, &views, claims) {
                 continue;
             }
-            let Some(fit) = refine.run(&prepared.pose_model, &hypothesis.left_from_part, &views) else {
-                continue;
+            let known = |pose: &Isometry3<f64>, near_mm| {
+                prepared.is_among(&explanations[..*explained], hypothesis, pose, near_mm)
             };
+            if known(&hypothesis.left_from_part, SAME_ROUGH_MM) {
+                continue;
+            }
+            let model = &prepared.pose_model;
+            let Some(pose) = refine.coarse(model, &hypothesis.left_from_part, &views) else { continue };
+            if known(&pose, SAME_COARSE_MM) {
+                continue;
+            }
+            let Some(fit) = refine.fine(model, &pose, &views) else { continue };
             if prepared.slope_sin(&fit.left_from_part, &down) > slope_sin_max
-                || prepared.is_among(
-                    &explanations[..*explained],
-                    hypothesis,
-                    &fit.left_from_part,
-                    [SAME_MM; 2],
-                )
+                || known(&fit.left_from_part, [SAME_MM; 2])
             {
                 continue;
             }
@@ -481,6 +477,8 @@ impl Recognizer {
 const SAME_MM: f64 = 1.0;
 /// A rough pose this near to a refined one would lead to it: where that is doubtful, where it is sound.
 const SAME_ROUGH_MM: [f64; 2] = [2.0, 8.0];
+/// The same for a coarse pose.
+const SAME_COARSE_MM: [f64; 2] = [1.0, 8.0];
 /// Distance in pixels within which an image node is a part's end.
 const SAME_END_PX: f64 = 5.0;
 

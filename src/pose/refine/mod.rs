@@ -163,18 +163,24 @@ impl Refine {
         }
     }
 
-    /// What both pictures show at every station of the part, at the pose of the last [`Refine::run`].
+    /// What both pictures show at every station of the part, at the pose of the last [`Refine::fine`].
     pub fn sightings(&self) -> &[[Option<Sighting>; 2]] {
         &self.sightings
     }
 
-    /// What both pictures show at every free end of the part, at the pose of the last [`Refine::run`].
+    /// What both pictures show at every free end of the part, at the pose of the last [`Refine::fine`].
     pub fn ends(&self) -> &[[Option<EndSighting>; 2]] {
         &self.ends
     }
 
-    /// Refines `start`, a rough pose, in both pictures. `None` where too little of the part is seen to hold it.
-    pub fn run(&mut self, model: &PoseModel, start: &Isometry3<f64>, views: &[View; 2]) -> Option<Fit> {
+    /// Moves `start`, a rough pose, to where the binary pictures and the ends have it. `None` where nothing would hold it
+    /// along the wire.
+    pub fn coarse(
+        &mut self,
+        model: &PoseModel,
+        start: &Isometry3<f64>,
+        views: &[View; 2],
+    ) -> Option<Isometry3<f64>> {
         let mut pose = *start;
         for round in 0..self.params.coarse_rounds {
             let (search_px, scale_px) = if round == 0 { (7.0, 4.0) } else { (4.0, 2.0) };
@@ -186,6 +192,13 @@ impl Refine {
         if !end_seen && self.missing(model, &pose, views) > self.params.missing_max {
             return None;
         }
+        Some(pose)
+    }
+
+    /// Refines `start`, a [coarse](Refine::coarse) pose, with the grey values of both pictures. `None` where too little
+    /// of the part is seen to hold it.
+    pub fn fine(&mut self, model: &PoseModel, start: &Isometry3<f64>, views: &[View; 2]) -> Option<Fit> {
+        let mut pose = *start;
         let mut last = None;
         for round in 0..self.params.fine_rounds {
             let (search_px, scales_px) = if round == 0 { FINE_FIRST } else { FINE_NEXT };
