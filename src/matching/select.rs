@@ -9,6 +9,7 @@ use nalgebra::Vector2;
 use crate::pose::model::PoseModel;
 use crate::pose::refine::Fit;
 use crate::pose::verify::{PieceSight, Sight, Verdict};
+use crate::vision::bits::nearest;
 
 /// When an explanation stands.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -87,7 +88,7 @@ impl ClaimMap {
     }
 
     fn cell(&self, x: f64, y: f64) -> Option<usize> {
-        let (c, r) = ((x / CELL_PX).round() as i32, (y / CELL_PX).round() as i32);
+        let (c, r) = (nearest(x / CELL_PX), nearest(y / CELL_PX));
         (c >= 0 && r >= 0 && c < self.columns && r < self.rows).then(|| (r * self.columns + c) as usize)
     }
 
@@ -130,39 +131,46 @@ impl ClaimMap {
     }
 }
 
+/// The nearest of [`DIRECTIONS`], from 0 along x on.
 fn direction_of(across: &Vector2<f64>) -> i32 {
-    let angle = across.y.atan2(across.x) / std::f64::consts::PI;
-    ((angle * DIRECTIONS as f64).round() as i32).rem_euclid(DIRECTIONS)
+    // Tangents of the angles in the middle between two directions, up to an eighth of a turn.
+    const MIDDLES: [f64; 8] = [
+        0.049_126_849_769_467_254,
+        0.148_335_987_538_347_43,
+        0.250_486_960_191_305_5,
+        0.357_805_721_314_524_05,
+        0.473_064_710_000_943_6,
+        0.599_376_933_681_923_8,
+        0.741_650_546_272_035_7,
+        0.906_347_169_019_147_1,
+    ];
+    let (x, y) = (across.x.abs(), across.y.abs());
+    let (less, more) = (x.min(y), x.max(y));
+    let steps = MIDDLES.iter().filter(|&&tan| less > tan * more).count() as i32;
+    let steep = if y > x { DIRECTIONS / 2 - steps } else { steps };
+    if across.x * across.y < 0.0 { (DIRECTIONS - steep) % DIRECTIONS } else { steep }
 }
 
-/// Length in mm of the wire that an explanation shows and nobody has claimed, left and right.
-pub fn free_length_mm(model: &PoseModel, verdict: &Verdict, claims: &[ClaimMap; 2]) -> [f64; 2] {
-    let mut free = [0.0; 2];
+/// Length in mm of the wire that an explanation shows and nobody has claimed, left and right; and the length on which it
+/// needs wire that others have claimed, the mean of both pictures.
+fn free_and_claimed_mm(model: &PoseModel, verdict: &Verdict, claims: &[ClaimMap; 2]) -> ([f64; 2], f64) {
+    let (mut free, mut claimed) = ([0.0; 2], 0.0);
     for (station, piece) in model.stations.iter().zip(&verdict.pieces) {
         for side in 0..2 {
             let worth = match piece[side].sight {
+                Sight::Outside => continue,
                 Sight::Clear => 1.0,
                 Sight::OneSide => 0.7,
-                _ => 0.0,
+                Sight::Crossed | Sight::Missing => 0.0,
             };
-            if worth > 0.0 && !claims[side].is_claimed(&piece[side]) {
+            if claims[side].is_claimed(&piece[side]) {
+                claimed += station.length_mm / 2.0;
+            } else {
                 free[side] += worth * station.length_mm;
             }
         }
     }
-    free
-}
-
-/// Length in mm on which an explanation needs wire that others have claimed, the mean of both pictures.
-fn claimed_mm(model: &PoseModel, verdict: &Verdict, claims: &[ClaimMap; 2]) -> f64 {
-    let pieces = model.stations.iter().zip(&verdict.pieces);
-    pieces
-        .map(|(station, piece)| {
-            let claimed = (0..2)
-                .filter(|&side| piece[side].sight != Sight::Outside && claims[side].is_claimed(&piece[side]));
-            claimed.count() as f64 / 2.0 * station.length_mm
-        })
-        .sum()
+    (free, claimed)
 }
 
 /// Whether an explanation leaves no doubt: all ends seen in both pictures where they should be, all wire there, none
@@ -195,7 +203,8 @@ pub fn is_proven(model: &PoseModel, fit: &Fit, verdict: &Verdict) -> bool {
         || is_sound(fit, verdict)
 }
 
-/// What an explanation is worth in mm of wire, given what is claimed; `None` where it does not stand.
+/// What an explanation is worth in mm of wire, given what is claimed; `None` where it does not stand. The more is
+/// claimed, the less it is worth.
 pub fn worth_mm(
     params: &Params,
     model: &PoseModel,
@@ -210,8 +219,7 @@ pub fn worth_mm(
     {
         return None;
     }
-    let claimed = claimed_mm(model, verdict, claims);
-    let free = free_length_mm(model, verdict, claims);
+    let (free, claimed) = free_and_claimed_mm(model, verdict, claims);
     let least = free[0].min(free[1]);
     if least < params.seen_min * model.length_mm {
         return None;
@@ -252,6 +260,15 @@ mod tests {
         assert!(claims.is_claimed(&level) && claims.is_claimed(&upright));
         claims.clear();
         assert!(!claims.is_claimed(&level) && !claims.is_claimed_by_any(&Vector2::new(50.0, 50.0)));
+    }
+
+    #[test]
+    fn directions_are_rounded_angles() {
+        for k in 0..1000 {
+            let angle = f64::from(k) * 0.00731;
+            let expected = ((angle / std::f64::consts::PI * 32.0).round() as i32).rem_euclid(32);
+            assert_eq!(direction_of(&Vector2::new(angle.cos(), angle.sin())), expected, "{angle}");
+        }
     }
 
     #[test]

@@ -41,7 +41,7 @@ struct Explanation {
     hypothesis: Hypothesis,
     fit: Fit,
     verdict: Verdict,
-    taken: bool,
+    worth_mm: f64,
 }
 
 /// Most hypotheses and explanations of a pair.
@@ -60,7 +60,7 @@ pub struct Recognizer {
     refine: Refine,
     ridges: [Ridges; 2],
     /// What no part explains for certain.
-    area: ridge::Area,
+    areas: [ridge::Area; 2],
     lines: Lines,
     explanations: Vec<Explanation>,
     explained: usize,
@@ -84,7 +84,7 @@ impl Recognizer {
             search: Search::new(params.search, params.gate, parts.len()),
             pool: Vec::with_capacity(HYPOTHESES_MAX),
             refine: Refine::new(lit(&params), &rig),
-            area: ridge::Area::new(rig.left.height.max(rig.right.height)),
+            areas: [&rig.left, &rig.right].map(|c| ridge::Area::new(c.width, c.height)),
             ridges: [&rig.left, &rig.right].map(|c| Ridges::new(params.ridges, c.width, c.height)),
             lines: Lines::new(
                 lines::Params { depth_mm: params.gate.depth_mm, ..params.lines },
@@ -223,7 +223,7 @@ impl Recognizer {
             pool,
             params,
             ridges,
-            area,
+            areas,
             lines,
             claims,
             explanations,
@@ -240,17 +240,19 @@ impl Recognizer {
                 }
             }
         }
+        let least_radii =
+            parts.iter().map(|p| p.least_seen_radii(params.select.seen_min)).fold(f64::INFINITY, f64::min);
+        let half_px = [0, 1].map(|side: usize| half_width_px(&pictures[side]));
+        let enough = |side: usize| {
+            unexplained_px(&pictures[side], &claims[side], &mut areas[side]) >= least_radii * half_px[side]
+        };
+        if ![0, 1].into_iter().all(enough) {
+            return false;
+        }
         for (side, frame) in [&pair.left, &pair.right].into_iter().enumerate() {
             let Some(luma) = LumaView::new(pictures[side].raw(frame)) else { return false };
-            let half = half_width_px(&pictures[side]);
-            let least = parts
-                .iter()
-                .map(|p| p.least_seen_radii(params.select.seen_min))
-                .fold(f64::INFINITY, f64::min);
-            if unexplained_px(&pictures[side], &claims[side], area) < least * half {
-                return false;
-            }
-            ridges[side].run(luma, pictures[side].mask(), area, params.binarize[side].inverted, half);
+            let dark = params.binarize[side].inverted;
+            ridges[side].run(luma, pictures[side].mask(), &areas[side], dark, half_px[side]);
         }
         let down = grasp::down_in_left(&params.grasp);
         let slope_sin_max = params.slope_rad_max.sin();
@@ -333,11 +335,11 @@ impl Recognizer {
                     hypothesis: *hypothesis,
                     fit,
                     verdict: Verdict::default(),
-                    taken: false,
+                    worth_mm: 0.0,
                 });
             }
             let explanation = &mut explanations[*explained];
-            (explanation.hypothesis, explanation.fit, explanation.taken) = (*hypothesis, fit, false);
+            (explanation.hypothesis, explanation.fit) = (*hypothesis, fit);
             let verdict = &mut explanation.verdict;
             verify(refine, &prepared.pose_model, &prepared.stops, &fit.left_from_part, &views, verdict);
             *explained += 1;
@@ -356,24 +358,23 @@ impl Recognizer {
         }
     }
 
-    /// Lets the explanations compete for the wire.
+    /// Lets the explanations compete for the wire: the one that is worth most stands and claims its wire, then the next.
     fn compete(&mut self, out: &mut Recognition) {
         self.claims.iter_mut().for_each(ClaimMap::clear);
+        for index in 0..self.explained {
+            self.explanations[index].worth_mm = self.worth_mm(index);
+        }
         while out.parts.len() < PARTS_MAX {
-            let best = self.explanations[..self.explained]
-                .iter()
-                .enumerate()
-                .filter(|(_, e)| !e.taken)
-                .filter_map(|(i, e)| {
-                    let model = &self.parts[e.hypothesis.part].pose_model;
-                    Some((i, select::worth_mm(&self.params.select, model, &e.fit, &e.verdict, &self.claims)?))
-                })
-                .max_by(|a, b| a.1.total_cmp(&b.1));
-            let Some((index, worth_mm)) = best else { return };
-            if worth_mm <= 0.0 {
-                return;
+            let worth_most = (0..self.explained)
+                .max_by(|&a, &b| self.explanations[a].worth_mm.total_cmp(&self.explanations[b].worth_mm));
+            let Some(index) = worth_most.filter(|&i| self.explanations[i].worth_mm > 0.0) else { return };
+            // What was claimed since can only have made it worth less; if it has not, nothing is worth more.
+            let worth_mm = self.worth_mm(index);
+            if worth_mm < self.explanations[index].worth_mm {
+                self.explanations[index].worth_mm = worth_mm;
+                continue;
             }
-            self.explanations[index].taken = true;
+            self.explanations[index].worth_mm = f64::NEG_INFINITY;
             let explanation = &self.explanations[index];
             for piece in &explanation.verdict.pieces {
                 self.claims[0].claim(&piece[0]);
@@ -382,6 +383,14 @@ impl Recognizer {
             let found = self.found(explanation, out.iterations);
             out.parts.push(found);
         }
+    }
+
+    /// What an explanation is worth, given what is claimed.
+    fn worth_mm(&self, index: usize) -> f64 {
+        let e = &self.explanations[index];
+        let model = &self.parts[e.hypothesis.part].pose_model;
+        select::worth_mm(&self.params.select, model, &e.fit, &e.verdict, &self.claims)
+            .unwrap_or(f64::NEG_INFINITY)
     }
 
     fn found(&self, e: &Explanation, iterations: u64) -> FoundPart {

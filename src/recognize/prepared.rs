@@ -1,6 +1,6 @@
 //! A part with all that recognition works out of it beforehand.
 
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::Explanation;
 use crate::grasp::Placed;
@@ -17,6 +17,8 @@ pub(super) struct Prepared {
     pub(super) pose_model: PoseModel,
     pub(super) match_model: MatchModel,
     pub(super) stops: Vec<Stop>,
+    /// Mean of nodes and bends, which no symmetry moves.
+    middle_mm: Point3<f64>,
 }
 
 impl Prepared {
@@ -24,7 +26,10 @@ impl Prepared {
         let pose_model = PoseModel::new(&part);
         let match_model = MatchModel::new(&part);
         let stops = stops_of(&match_model, &pose_model);
-        Self { part, pose_model, match_model, stops }
+        let anchors = &match_model.anchors;
+        let sum = anchors.iter().map(|a| a.position_mm.coords).sum::<Vector3<f64>>();
+        let middle_mm = Point3::from(sum / anchors.len().max(1) as f64);
+        Self { part, pose_model, match_model, stops, middle_mm }
     }
 
     pub(super) fn placed<'a>(&'a self, left_from_part: &'a Isometry3<f64>, sigma_mm: f64) -> Placed<'a> {
@@ -51,8 +56,13 @@ impl Prepared {
         pose: &Isometry3<f64>,
         near_mm: [f64; 2],
     ) -> bool {
+        let middle = pose * self.middle_mm;
+        // The mean of distances is at least the distance of the means.
+        let is_far = |e: &Explanation| {
+            (e.fit.left_from_part * self.middle_mm - middle).norm() >= near_mm[0].max(near_mm[1])
+        };
         explanations.iter().any(|e| {
-            e.hypothesis.part == hypothesis.part && {
+            e.hypothesis.part == hypothesis.part && !is_far(e) && {
                 let distance_mm = self.distance_mm(&e.fit.left_from_part, pose);
                 distance_mm < near_mm[0]
                     || distance_mm < near_mm[1]

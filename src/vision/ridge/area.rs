@@ -1,38 +1,62 @@
 //! Which part of a picture is looked at.
 
-/// Rows of a tile of [`Area`].
-const TILE_ROWS: usize = 16;
+use crate::vision::bits::BitImage;
 
-/// The part of a picture that is looked at: tiles of 64 x 16 pixels.
+/// The part of a picture that is looked at, a bit a pixel.
 #[derive(Clone, Debug)]
 pub struct Area {
-    /// For each 16 rows a bit a strip of 64 columns; the last bit is for all strips beyond it.
-    tiles: Vec<u64>,
+    bits: BitImage,
 }
 
 impl Area {
-    /// Nothing of a picture of this height.
-    pub fn new(height: usize) -> Self {
-        Self { tiles: vec![0; height.div_ceil(TILE_ROWS)] }
+    /// Nothing of a picture of this size.
+    pub fn new(width: usize, height: usize) -> Self {
+        Self { bits: BitImage::new(width, height) }
     }
 
     /// Nothing.
     pub fn clear(&mut self) {
-        self.tiles.fill(0);
+        self.bits.words_mut().fill(0);
     }
 
-    /// Adds the tiles within `margin_px` of a pixel.
+    /// Adds the square within `margin_px` of a pixel.
     pub fn include(&mut self, x: usize, y: usize, margin_px: usize) {
-        let strip = |x: usize| (x / 64).min(63);
-        let (from, to) = (strip(x.saturating_sub(margin_px)), strip(x + margin_px));
-        let strips = (u64::MAX << from) & (u64::MAX >> (63 - to));
-        let rows = y.saturating_sub(margin_px) / TILE_ROWS..=(y + margin_px) / TILE_ROWS;
-        for tiles in self.tiles.iter_mut().skip(*rows.start()).take(rows.count()) {
-            *tiles |= strips;
+        let (width, height) = (self.bits.width(), self.bits.height());
+        if width == 0 || height == 0 {
+            return;
+        }
+        let (from, to) = (x.saturating_sub(margin_px), (x + margin_px).min(width - 1));
+        let rows = y.saturating_sub(margin_px)..(y + margin_px + 1).min(height);
+        for strip in from / 64..=to / 64 {
+            let (first, last) = (from.max(64 * strip) % 64, to.min(64 * strip + 63) % 64);
+            let columns = (u64::MAX << first) & (u64::MAX >> (63 - last));
+            for word in self.bits.strip_mut(strip).iter_mut().take(rows.end).skip(rows.start) {
+                *word |= columns;
+            }
         }
     }
 
-    pub(super) fn has(&self, strip: usize, y: usize) -> bool {
-        self.tiles.get(y / TILE_ROWS).is_some_and(|tiles| tiles >> strip.min(63) & 1 == 1)
+    /// The pixels of a row of a strip of 64.
+    pub(super) fn row(&self, strip: usize, y: usize) -> u64 {
+        self.bits.strip(strip)[y]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_square_is_kept_to_the_picture() {
+        let mut area = Area::new(100, 50);
+        area.include(62, 10, 3);
+        area.include(99, 49, 2);
+        area.include(300, 300, 2);
+        let has = |x: usize, y: usize| area.row(x / 64, y) >> (x % 64) & 1 == 1;
+        let expected =
+            |x: usize, y: usize| ((59..=65).contains(&x) && (7..=13).contains(&y)) || (x >= 97 && y >= 47);
+        assert!((0..100).all(|x| (0..50).all(|y| has(x, y) == expected(x, y))));
+        area.clear();
+        assert_eq!(area.row(0, 10), 0);
     }
 }

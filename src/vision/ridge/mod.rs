@@ -285,7 +285,7 @@ mod tests {
     }
 
     fn whole() -> Area {
-        let mut area = Area::new(120);
+        let mut area = Area::new(160, 120);
         area.include(80, 60, 80);
         area
     }
@@ -316,7 +316,7 @@ mod tests {
         let (frame, mask) = picture(&[[[20.0, 60.0], [140.0, 60.0]]]);
         let mut ridges = Ridges::new(Params::default(), frame.width, frame.height);
         let luma = LumaView::new(&frame).unwrap();
-        let mut area = Area::new(frame.height);
+        let mut area = Area::new(frame.width, frame.height);
         area.include(90, 60, 10);
         ridges.run(luma, &mask, &area, false, 3.5);
         let [from, to] = ridges.stretches()[0].ends_px;

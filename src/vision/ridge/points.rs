@@ -130,8 +130,8 @@ impl Finder {
         self.smoothed.fill(0);
         for y in 0..height {
             for strip in 0..self.smoothed.len() {
-                let word = task.mask.strip(strip)[y];
-                if word == 0 || !task.area.has(strip, y) {
+                let word = task.mask.strip(strip)[y] & task.area.row(strip, y);
+                if word == 0 {
                     continue;
                 }
                 // Rows up to y + reach are needed; those from y - reach on may still be there.
@@ -266,7 +266,7 @@ mod tests {
         };
         let mut mask = BitImage::new(width, height);
         (0..width * height).filter(|i| i % 7 != 0).for_each(|i| mask.set(i % width, i / width, true));
-        let mut area = Area::new(height);
+        let mut area = Area::new(width, height);
         area.include(width / 2, height / 2, width);
         let found: Vec<Vec<[f32; 4]>> = Level::available()
             .iter()
