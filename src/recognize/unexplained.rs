@@ -28,7 +28,7 @@ pub(super) fn unexplained_px(picture: &Picture, claims: &ClaimMap, area: &mut ri
     for &[x, y] in &picture.graph().points {
         if !claims.is_claimed_by_any(&Vector2::new(x.into(), y.into())) {
             count += 1;
-            if count % AREA_STRIDE != 0 {
+            if !count.is_multiple_of(AREA_STRIDE) {
                 continue;
             }
             // The mask reaches about half a wire farther than its skeleton, and what is put back there.
