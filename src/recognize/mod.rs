@@ -2,6 +2,8 @@
 //!
 //! Nothing is kept from one pair to the next. After the first pairs nothing is allocated, except by the JPEG decoder.
 
+mod explanations;
+mod found;
 mod params;
 mod prepared;
 mod result;
@@ -10,43 +12,30 @@ mod unexplained;
 mod views;
 
 use arrayvec::ArrayVec;
-use nalgebra::{Isometry3, Vector2};
 
 use crate::frame::{FramePair, LumaView};
 use crate::grasp::{self, Blocked, Placed};
-use crate::matching::fitness::{Judge, UNMATCHED};
+use crate::matching::fitness::Judge;
 use crate::matching::hypotheses::{self, Hypothesis};
 use crate::matching::lines::{self, Lines};
-use crate::matching::nodes::{self, NodeRole};
 use crate::matching::search::Search;
-use crate::matching::select::{self, ClaimMap};
-use crate::part::{NODES_MAX, Part};
+use crate::part::Part;
 use crate::picture::Picture;
-use crate::pose::refine::{Fit, Refine};
-use crate::pose::verify::{Verdict, verify};
 use crate::rig::Rig;
 use crate::time::{Budget, Timestamp};
 use crate::vision::binarize;
 use crate::vision::ridge::{self, Ridges};
 
+use explanations::{Explanations, Scene};
+use found::found;
 pub use params::Params;
 use prepared::Prepared;
 pub use result::{FoundNode, FoundPart, NoPick, Recognition, Refusal, Seen, Side, StageTimes};
-use spread::sigmas;
-use unexplained::{half_width_px, is_claimed, is_explained, unexplained_px};
+use unexplained::{half_width_px, is_claimed, unexplained_px};
 use views::{lit, views};
 
-/// An explanation of some wire: a refined hypothesis.
-struct Explanation {
-    hypothesis: Hypothesis,
-    fit: Fit,
-    verdict: Verdict,
-    worth_mm: f64,
-}
-
-/// Most hypotheses and explanations of a pair.
+/// Most hypotheses and parts of a pair.
 const HYPOTHESES_MAX: usize = 16384;
-const EXPLANATIONS_MAX: usize = 2048;
 const PARTS_MAX: usize = 128;
 
 /// The whole recognition with all its memory.
@@ -57,16 +46,11 @@ pub struct Recognizer {
     pictures: [Picture; 2],
     search: Search,
     pool: Vec<Hypothesis>,
-    refine: Refine,
     ridges: [Ridges; 2],
     /// What no part explains for certain.
     areas: [ridge::Area; 2],
     lines: Lines,
-    explanations: Vec<Explanation>,
-    explained: usize,
-    claims: [ClaimMap; 2],
-    /// Image nodes, left and right, that are ends of parts recognised for certain.
-    ends_taken: [Vec<bool>; 2],
+    explanations: Explanations,
 }
 
 impl Recognizer {
@@ -78,22 +62,17 @@ impl Recognizer {
         let [left, right] = params.binarize.clone();
         let picture = |b, camera: &crate::rig::CameraModel| Picture::new(b, &params, *camera);
         let pictures = [picture(left, &rig.left)?, picture(right, &rig.right)?];
-        let claims = [&rig.left, &rig.right].map(|c| ClaimMap::new(c.width, c.height));
         let parts: Vec<Prepared> = parts.into_iter().map(Prepared::new).collect();
         Ok(Self {
             search: Search::new(params.search, params.gate, parts.len()),
             pool: Vec::with_capacity(HYPOTHESES_MAX),
-            refine: Refine::new(lit(&params), &rig),
             areas: [&rig.left, &rig.right].map(|c| ridge::Area::new(c.width, c.height)),
             ridges: [&rig.left, &rig.right].map(|c| Ridges::new(params.ridges, c.width, c.height)),
             lines: Lines::new(
                 lines::Params { depth_mm: params.gate.depth_mm, ..params.lines },
                 params.ridges.stretches_max,
             ),
-            explanations: Vec::with_capacity(EXPLANATIONS_MAX),
-            explained: 0,
-            claims,
-            ends_taken: [0, 1].map(|_| Vec::with_capacity(params.nodes.nodes_max)),
+            explanations: Explanations::new(lit(&params), &rig, params.nodes.nodes_max),
             pictures,
             params,
             rig,
@@ -140,12 +119,7 @@ impl Recognizer {
         // What is found must be looked at, too, which takes about as long.
         self.search(budget.half(), seed, out);
         let matched = Timestamp::now();
-        self.explained = 0;
-        self.claims.iter_mut().for_each(ClaimMap::clear);
-        for (taken, picture) in self.ends_taken.iter_mut().zip(&self.pictures) {
-            taken.clear();
-            taken.resize(picture.nodes().len(), false);
-        }
+        self.explanations.clear(self.pictures.each_ref().map(Picture::nodes));
         self.explain(pair, budget, out);
         if !budget.is_over() && self.search_ridges(pair) {
             self.explain(pair, budget, out);
@@ -216,30 +190,9 @@ impl Recognizer {
     /// Fills the pool with rough poses that straight wire holds which nothing explains for certain; says whether there
     /// are any.
     fn search_ridges(&mut self, pair: &FramePair) -> bool {
-        let Self {
-            pictures,
-            rig,
-            parts,
-            pool,
-            params,
-            ridges,
-            areas,
-            lines,
-            claims,
-            explanations,
-            explained,
-            ..
-        } = self;
+        let Self { pictures, rig, parts, pool, params, ridges, areas, lines, explanations, .. } = self;
         pool.clear();
-        // What is sound is not explained again either, here where there is much to explain.
-        for explanation in &explanations[..*explained] {
-            if select::is_sound(&explanation.fit, &explanation.verdict) {
-                for piece in &explanation.verdict.pieces {
-                    claims[0].claim(&piece[0]);
-                    claims[1].claim(&piece[1]);
-                }
-            }
-        }
+        let claims = explanations.claims();
         let least_radii =
             parts.iter().map(|p| p.least_seen_radii(params.select.seen_min)).fold(f64::INFINITY, f64::min);
         let half_px = [0, 1].map(|side: usize| half_width_px(&pictures[side]));
@@ -276,163 +229,28 @@ impl Recognizer {
         !pool.is_empty()
     }
 
-    /// Refines and judges the hypotheses, each pose once. Wire and ends that a certain explanation has are not
-    /// explained again. A count of iterations is for the searches: what they find is always looked at; but when time is
-    /// over, the rest is left.
+    /// Holds the pool's hypotheses against both pictures.
     fn explain(&mut self, pair: &FramePair, budget: Budget, out: &mut Recognition) {
-        let Self {
-            pictures,
-            rig,
-            parts,
-            pool,
-            refine,
-            explanations,
-            explained,
-            claims,
-            search,
-            ends_taken,
-            params,
-            ..
-        } = self;
-        let Some(views) = views(pictures, rig, pair, params) else { return };
-        let down = grasp::down_in_left(&params.grasp);
-        let slope_sin_max = params.slope_rad_max.sin();
-        for hypothesis in pool.iter() {
-            if *explained == EXPLANATIONS_MAX {
-                return;
-            }
-            if budget.is_over() {
-                out.out_of_time = true;
-                return;
-            }
-            let prepared = &parts[hypothesis.part];
-            let takes_taken_end = hypothesis.nodes.iter().filter(|n| **n != UNMATCHED).any(|&n| {
-                let node = &search.nodes()[n as usize];
-                ends_taken[0][node.left as usize] || ends_taken[1][node.right as usize]
-            });
-            if takes_taken_end || is_explained(refine, prepared, hypothesis, &views, claims) {
-                continue;
-            }
-            let known = |pose: &Isometry3<f64>, near_mm| {
-                prepared.is_among(&explanations[..*explained], hypothesis, pose, near_mm)
-            };
-            if known(&hypothesis.left_from_part, SAME_ROUGH_MM) {
-                continue;
-            }
-            let model = &prepared.pose_model;
-            let Some(pose) = refine.coarse(model, &hypothesis.left_from_part, &views) else { continue };
-            if known(&pose, SAME_COARSE_MM) {
-                continue;
-            }
-            let Some(fit) = refine.fine(model, &pose, &views) else { continue };
-            if prepared.slope_sin(&fit.left_from_part, &down) > slope_sin_max
-                || known(&fit.left_from_part, [SAME_MM; 2])
-            {
-                continue;
-            }
-            if *explained == explanations.len() {
-                explanations.push(Explanation {
-                    hypothesis: *hypothesis,
-                    fit,
-                    verdict: Verdict::default(),
-                    worth_mm: 0.0,
-                });
-            }
-            let explanation = &mut explanations[*explained];
-            (explanation.hypothesis, explanation.fit) = (*hypothesis, fit);
-            let verdict = &mut explanation.verdict;
-            verify(refine, &prepared.pose_model, &prepared.stops, &fit.left_from_part, &views, verdict);
-            *explained += 1;
-            if select::is_certain(&fit, verdict, prepared.pose_model.ends.len()) {
-                for piece in &verdict.pieces {
-                    claims[0].claim(&piece[0]);
-                    claims[1].claim(&piece[1]);
-                }
-                for end in refine.ends() {
-                    for side in 0..2 {
-                        let Some(end) = end[side] else { continue };
-                        take_end(pictures[side].nodes(), &end.expected_px, &mut ends_taken[side]);
-                    }
-                }
-            }
-        }
-    }
-
-    /// Lets the explanations compete for the wire: the one that is worth most stands and claims its wire, then the next.
-    fn compete(&mut self, out: &mut Recognition) {
-        self.claims.iter_mut().for_each(ClaimMap::clear);
-        for index in 0..self.explained {
-            self.explanations[index].worth_mm = self.worth_mm(index);
-        }
-        while out.parts.len() < PARTS_MAX {
-            let worth_most = (0..self.explained)
-                .max_by(|&a, &b| self.explanations[a].worth_mm.total_cmp(&self.explanations[b].worth_mm));
-            let Some(index) = worth_most.filter(|&i| self.explanations[i].worth_mm > 0.0) else { return };
-            // What was claimed since can only have made it worth less; if it has not, nothing is worth more.
-            let worth_mm = self.worth_mm(index);
-            if worth_mm < self.explanations[index].worth_mm {
-                self.explanations[index].worth_mm = worth_mm;
-                continue;
-            }
-            self.explanations[index].worth_mm = f64::NEG_INFINITY;
-            let explanation = &self.explanations[index];
-            for piece in &explanation.verdict.pieces {
-                self.claims[0].claim(&piece[0]);
-                self.claims[1].claim(&piece[1]);
-            }
-            let found = self.found(explanation, out.iterations);
-            out.parts.push(found);
-        }
-    }
-
-    /// What an explanation is worth, given what is claimed.
-    fn worth_mm(&self, index: usize) -> f64 {
-        let e = &self.explanations[index];
-        let model = &self.parts[e.hypothesis.part].pose_model;
-        select::worth_mm(&self.params.select, model, &e.fit, &e.verdict, &self.claims)
-            .unwrap_or(f64::NEG_INFINITY)
-    }
-
-    fn found(&self, e: &Explanation, iterations: u64) -> FoundPart {
-        let prepared = &self.parts[e.hypothesis.part];
-        let pose = e.fit.left_from_part;
-        let placed = prepared.placed(&pose, 0.0);
-        let grasp = grasp::grasp_of(&self.params.grasp, &placed);
-        let (sigma_mm, sigma_axis_rad) = sigmas(&self.params.grasp, prepared, &e.fit);
-        let sees = |side: usize, px: &Vector2<f64>| {
-            self.pictures[side]
-                .nodes()
-                .iter()
-                .any(|n| n.role != NodeRole::Bend && (n.position_px - px).norm() < SAME_END_PX)
+        let Some(views) = views(&self.pictures, &self.rig, pair, &self.params) else { return };
+        let scene = Scene {
+            parts: &self.parts,
+            views,
+            image_nodes: self.pictures.each_ref().map(Picture::nodes),
+            stereo_nodes: self.search.nodes(),
+            down: grasp::down_in_left(&self.params.grasp),
+            slope_sin_max: self.params.slope_rad_max.sin(),
         };
-        let nodes = prepared.part.nodes.iter().map(|node| {
-            let left_mm = pose * node.position_mm;
-            let left_px = self.rig.project_left(&left_mm).unwrap_or_default();
-            let right_px = self.rig.project_right(&left_mm).unwrap_or_default();
-            let seen = match (sees(0, &left_px), sees(1, &right_px)) {
-                (true, true) => Seen::Both,
-                (true, false) => Seen::Left,
-                (false, true) => Seen::Right,
-                (false, false) => Seen::None,
-            };
-            FoundNode { left_mm, left_px, right_px, seen }
+        out.out_of_time |= !self.explanations.explain(&scene, &self.pool, budget);
+    }
+
+    /// Lets the explanations compete; those that stand are the parts.
+    fn compete(&mut self, out: &mut Recognition) {
+        let Self { explanations, parts, rig, pictures, params, .. } = self;
+        explanations.compete(parts, &params.select, |explanation| {
+            let prepared = &parts[explanation.hypothesis.part];
+            out.parts.push(found(params, rig, pictures, prepared, explanation, out.iterations));
+            out.parts.len() < PARTS_MAX
         });
-        let nodes: ArrayVec<FoundNode, NODES_MAX> = nodes.collect();
-        let unseen = nodes.iter().filter(|n| n.seen == Seen::None).count();
-        FoundPart {
-            part: e.hypothesis.part,
-            fitness: e.verdict.terms(unseen).fitness(&self.params.weights),
-            left_from_part: pose,
-            nodes,
-            grasp,
-            sigma_mm,
-            sigma_axis_rad,
-            blocked: None,
-            iterations,
-            sound: select::is_sound(&e.fit, &e.verdict),
-            proven: select::is_proven(&prepared.pose_model, &e.fit, &e.verdict),
-            clear: e.verdict.clear[0].min(e.verdict.clear[1]),
-        }
     }
 
     /// Finds what is blocked and ranks.
@@ -479,25 +297,5 @@ impl Recognizer {
         } else {
             NoPick::NothingRecognised
         })
-    }
-}
-
-/// Two refined poses nearer than this are one.
-const SAME_MM: f64 = 1.0;
-/// A rough pose this near to a refined one would lead to it: where that is doubtful, where it is sound.
-const SAME_ROUGH_MM: [f64; 2] = [2.0, 8.0];
-/// The same for a coarse pose.
-const SAME_COARSE_MM: [f64; 2] = [1.0, 8.0];
-/// Distance in pixels within which an image node is a part's end.
-const SAME_END_PX: f64 = 5.0;
-
-/// Marks the end of a picture at a place: the nearest, for another wire may end beside it.
-fn take_end(nodes: &[nodes::ImageNode], at: &Vector2<f64>, taken: &mut [bool]) {
-    let distance_px = |node: &nodes::ImageNode| (node.position_px - at).norm();
-    let nearest = (0..nodes.len())
-        .filter(|&n| nodes[n].role == NodeRole::End && distance_px(&nodes[n]) < SAME_END_PX)
-        .min_by(|&a, &b| distance_px(&nodes[a]).total_cmp(&distance_px(&nodes[b])));
-    if let Some(n) = nearest {
-        taken[n] = true;
     }
 }

@@ -2,9 +2,8 @@
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use super::Explanation;
+use super::explanations::Explanation;
 use crate::grasp::Placed;
-use crate::matching::hypotheses::Hypothesis;
 use crate::matching::problem::MatchModel;
 use crate::matching::select;
 use crate::part::Part;
@@ -47,12 +46,12 @@ impl Prepared {
         self.match_model.anchors.iter().flat_map(|a| a.legs.iter().map(slope)).fold(0.0, f64::max)
     }
 
-    /// Whether an explanation of this part lies near a pose: nearer than the first distance in mm, or the second
+    /// Whether an explanation of this part, whose index is `part`, lies near a pose: nearer than the first distance in mm, or the second
     /// where nothing speaks against the explanation.
     pub(super) fn is_among(
         &self,
         explanations: &[Explanation],
-        hypothesis: &Hypothesis,
+        part: usize,
         pose: &Isometry3<f64>,
         near_mm: [f64; 2],
     ) -> bool {
@@ -62,7 +61,7 @@ impl Prepared {
             (e.fit.left_from_part * self.middle_mm - middle).norm() >= near_mm[0].max(near_mm[1])
         };
         explanations.iter().any(|e| {
-            e.hypothesis.part == hypothesis.part && !is_far(e) && {
+            e.hypothesis.part == part && !is_far(e) && {
                 let distance_mm = self.distance_mm(&e.fit.left_from_part, pose);
                 distance_mm < near_mm[0]
                     || distance_mm < near_mm[1]

@@ -2,11 +2,8 @@
 
 use nalgebra::Vector2;
 
-use super::prepared::Prepared;
-use crate::matching::hypotheses::Hypothesis;
 use crate::matching::select::ClaimMap;
 use crate::picture::Picture;
-use crate::pose::refine::{Refine, View};
 use crate::vision::ridge;
 
 /// Half the width of a wire in a picture, in pixels: what a quarter of its wire does not exceed, for regions of
@@ -53,23 +50,4 @@ pub(super) fn is_claimed(claims: &ClaimMap, stretch: &ridge::Stretch) -> bool {
     let claimed =
         (0..=8).filter(|&k| claims.is_claimed_at(&(from + (to - from) * (k as f64 / 8.0)), &across));
     claimed.count() > 6
-}
-
-/// Whether most of the wire that a hypothesis would explain is explained for certain already.
-pub(super) fn is_explained(
-    refine: &Refine,
-    prepared: &Prepared,
-    hypothesis: &Hypothesis,
-    views: &[View; 2],
-    claims: &[ClaimMap; 2],
-) -> bool {
-    let stations = &prepared.pose_model.stations;
-    let probes = stations.iter().step_by((stations.len() / 8).max(1));
-    let (mut probed, mut claimed) = (0, 0);
-    for station in probes {
-        probed += 1;
-        let at = refine.expect(&prepared.pose_model, station, &hypothesis.left_from_part, &views[0]);
-        claimed += at.is_some_and(|(px, across)| claims[0].is_claimed_at(&px, &across)) as usize;
-    }
-    2 * claimed > probed
 }

@@ -188,11 +188,15 @@ impl Refine {
             // Where touching wires leave the mask nothing to say, the grey values may.
             let _ = self.solve(model, &mut pose, &[scale_px; 2]);
         }
-        let end_seen = self.ends.iter().flatten().flatten().any(|end| end.beyond_px.is_some());
-        if !end_seen && self.missing(model, &pose, views) > self.params.missing_max {
+        if !self.shows_end() && self.missing(model, &pose, views) > self.params.missing_max {
             return None;
         }
         Some(pose)
+    }
+
+    /// Whether a free end of the part is seen, at the pose looked at last.
+    pub fn shows_end(&self) -> bool {
+        self.ends.iter().flatten().flatten().any(|end| end.beyond_px.is_some())
     }
 
     /// Refines `start`, a [coarse](Refine::coarse) pose, with the grey values of both pictures. `None` where too little

@@ -1,0 +1,254 @@
+//! Explanations of the wire: hypotheses refined, judged, and let compete for it.
+//!
+//! Takes hypotheses, fittest first, and both pictures; gives those that stand. Owns the explanations and the maps of what
+//! they claim.
+
+use nalgebra::{Isometry3, Vector2, Vector3};
+
+use super::prepared::Prepared;
+use crate::matching::fitness::UNMATCHED;
+use crate::matching::hypotheses::Hypothesis;
+use crate::matching::nodes::{ImageNode, NodeRole};
+use crate::matching::problem::StereoNode;
+use crate::matching::select::{self, ClaimMap};
+use crate::pose::refine::{self, Fit, Refine, View};
+use crate::pose::verify::{Verdict, verify};
+use crate::rig::Rig;
+use crate::time::Budget;
+
+/// Most explanations of a pair.
+const EXPLANATIONS_MAX: usize = 2048;
+/// Two refined poses nearer than this are one.
+const SAME_MM: f64 = 1.0;
+/// A rough pose this near to a refined one would lead to it: where that is doubtful, where it is sound.
+const SAME_ROUGH_MM: [f64; 2] = [2.0, 8.0];
+/// The same for a coarse pose.
+const SAME_COARSE_MM: [f64; 2] = [1.0, 8.0];
+/// Distance in pixels within which an image node is a part's end.
+pub(super) const SAME_END_PX: f64 = 5.0;
+
+/// An explanation of some wire: a refined hypothesis.
+pub(super) struct Explanation {
+    pub(super) hypothesis: Hypothesis,
+    pub(super) fit: Fit,
+    pub(super) verdict: Verdict,
+    /// What it is worth in the competition, or was when it was last asked.
+    worth_mm: f64,
+}
+
+/// What hypotheses are held against.
+pub(super) struct Scene<'a> {
+    pub(super) parts: &'a [Prepared],
+    pub(super) views: [View<'a>; 2],
+    /// Nodes of the left and the right picture.
+    pub(super) image_nodes: [&'a [ImageNode]; 2],
+    /// Nodes of the search.
+    pub(super) stereo_nodes: &'a [StereoNode],
+    /// Unit vector downwards in the left camera's frame, and how steep wire may be.
+    pub(super) down: Vector3<f64>,
+    pub(super) slope_sin_max: f64,
+}
+
+/// Workspace.
+pub(super) struct Explanations {
+    refine: Refine,
+    /// The first `count` are of this pair; the others keep their memory.
+    list: Vec<Explanation>,
+    count: usize,
+    claims: [ClaimMap; 2],
+    /// Image nodes, left and right, that are ends of parts recognised for certain.
+    ends_taken: [Vec<bool>; 2],
+    /// Coarse poses that show no end.
+    endless: Vec<(Hypothesis, Isometry3<f64>)>,
+}
+
+impl Explanations {
+    /// Reserves all memory.
+    pub(super) fn new(params: refine::Params, rig: &Rig, nodes_max: usize) -> Self {
+        Self {
+            refine: Refine::new(params, rig),
+            list: Vec::with_capacity(EXPLANATIONS_MAX),
+            count: 0,
+            claims: [&rig.left, &rig.right].map(|c| ClaimMap::new(c.width, c.height)),
+            ends_taken: [0, 1].map(|_| Vec::with_capacity(nodes_max)),
+            endless: Vec::with_capacity(EXPLANATIONS_MAX),
+        }
+    }
+
+    /// Forgets the last pair.
+    pub(super) fn clear(&mut self, image_nodes: [&[ImageNode]; 2]) {
+        self.count = 0;
+        self.claims.iter_mut().for_each(ClaimMap::clear);
+        for (taken, nodes) in self.ends_taken.iter_mut().zip(image_nodes) {
+            taken.clear();
+            taken.resize(nodes.len(), false);
+        }
+    }
+
+    /// What is claimed: until the competition by what is certain or sound, then by what stands.
+    pub(super) fn claims(&self) -> &[ClaimMap; 2] {
+        &self.claims
+    }
+
+    /// Refines and judges hypotheses, each pose once; says whether there was time for all. Wire and ends that a certain
+    /// explanation has are not explained again, and poses that show no end are looked at last, where no sound explanation
+    /// has their wire. A count of iterations is for the searches: what they find is always looked at.
+    pub(super) fn explain(&mut self, scene: &Scene, pool: &[Hypothesis], budget: Budget) -> bool {
+        self.endless.clear();
+        for hypothesis in pool {
+            if budget.is_over() {
+                return false;
+            }
+            let prepared = &scene.parts[hypothesis.part];
+            let rough = &hypothesis.left_from_part;
+            if self.takes_taken_end(scene, hypothesis)
+                || self.is_explained(scene, prepared, rough)
+                || prepared.is_among(self.all(), hypothesis.part, rough, SAME_ROUGH_MM)
+            {
+                continue;
+            }
+            let Some(pose) = self.refine.coarse(&prepared.pose_model, rough, &scene.views) else { continue };
+            if !self.refine.shows_end() && self.endless.len() < EXPLANATIONS_MAX {
+                self.endless.push((*hypothesis, pose));
+            } else {
+                self.conclude(scene, hypothesis, &pose);
+            }
+        }
+        self.claim_sound(0);
+        let known = self.count;
+        let endless = std::mem::take(&mut self.endless);
+        let mut in_time = true;
+        for (hypothesis, pose) in &endless {
+            in_time = !budget.is_over();
+            if !in_time {
+                break;
+            }
+            if !self.is_explained(scene, &scene.parts[hypothesis.part], pose) {
+                self.conclude(scene, hypothesis, pose);
+            }
+        }
+        self.endless = endless;
+        self.claim_sound(known);
+        in_time
+    }
+
+    /// Refines a coarse pose and notes what comes of it.
+    fn conclude(&mut self, scene: &Scene, hypothesis: &Hypothesis, pose: &Isometry3<f64>) {
+        let prepared = &scene.parts[hypothesis.part];
+        let model = &prepared.pose_model;
+        if self.count == EXPLANATIONS_MAX
+            || prepared.is_among(self.all(), hypothesis.part, pose, SAME_COARSE_MM)
+        {
+            return;
+        }
+        let Some(fit) = self.refine.fine(model, pose, &scene.views) else { return };
+        if prepared.slope_sin(&fit.left_from_part, &scene.down) > scene.slope_sin_max
+            || prepared.is_among(self.all(), hypothesis.part, &fit.left_from_part, [SAME_MM; 2])
+        {
+            return;
+        }
+        if self.count == self.list.len() {
+            let verdict = Verdict::default();
+            self.list.push(Explanation { hypothesis: *hypothesis, fit, verdict, worth_mm: 0.0 });
+        }
+        let explanation = &mut self.list[self.count];
+        (explanation.hypothesis, explanation.fit) = (*hypothesis, fit);
+        let verdict = &mut explanation.verdict;
+        verify(&self.refine, model, &prepared.stops, &fit.left_from_part, &scene.views, verdict);
+        if select::is_certain(&fit, verdict, model.ends.len()) {
+            self.claim(self.count);
+            for end in self.refine.ends() {
+                for side in 0..2 {
+                    let Some(end) = end[side] else { continue };
+                    take_end(scene.image_nodes[side], &end.expected_px, &mut self.ends_taken[side]);
+                }
+            }
+        }
+        self.count += 1;
+    }
+
+    fn all(&self) -> &[Explanation] {
+        &self.list[..self.count]
+    }
+
+    fn claim(&mut self, index: usize) {
+        for piece in &self.list[index].verdict.pieces {
+            self.claims[0].claim(&piece[0]);
+            self.claims[1].claim(&piece[1]);
+        }
+    }
+
+    /// Claims the wire of all explanations from `first` on that nothing speaks against.
+    fn claim_sound(&mut self, first: usize) {
+        for index in first..self.count {
+            if select::is_sound(&self.list[index].fit, &self.list[index].verdict) {
+                self.claim(index);
+            }
+        }
+    }
+
+    fn takes_taken_end(&self, scene: &Scene, hypothesis: &Hypothesis) -> bool {
+        hypothesis.nodes.iter().filter(|n| **n != UNMATCHED).any(|&n| {
+            let node = &scene.stereo_nodes[n as usize];
+            self.ends_taken[0][node.left as usize] || self.ends_taken[1][node.right as usize]
+        })
+    }
+
+    /// Whether most of the wire that a part at a pose would explain is claimed already.
+    fn is_explained(&self, scene: &Scene, prepared: &Prepared, pose: &Isometry3<f64>) -> bool {
+        let stations = &prepared.pose_model.stations;
+        let probes = stations.iter().step_by((stations.len() / 8).max(1));
+        let (mut probed, mut claimed) = (0, 0);
+        for station in probes {
+            probed += 1;
+            let at = self.refine.expect(&prepared.pose_model, station, pose, &scene.views[0]);
+            claimed += at.is_some_and(|(px, across)| self.claims[0].is_claimed_at(&px, &across)) as usize;
+        }
+        2 * claimed > probed
+    }
+
+    /// Lets the explanations compete for the wire: the one that is worth most stands and claims its wire, then the next.
+    /// Gives those that stand to `stands`, until that says that it is enough.
+    pub(super) fn compete(
+        &mut self,
+        parts: &[Prepared],
+        params: &select::Params,
+        mut stands: impl FnMut(&Explanation) -> bool,
+    ) {
+        self.claims.iter_mut().for_each(ClaimMap::clear);
+        let worth_mm = |e: &Explanation, claims: &[ClaimMap; 2]| {
+            let model = &parts[e.hypothesis.part].pose_model;
+            select::worth_mm(params, model, &e.fit, &e.verdict, claims).unwrap_or(f64::NEG_INFINITY)
+        };
+        for explanation in &mut self.list[..self.count] {
+            explanation.worth_mm = worth_mm(explanation, &self.claims);
+        }
+        loop {
+            let most =
+                (0..self.count).max_by(|&a, &b| self.list[a].worth_mm.total_cmp(&self.list[b].worth_mm));
+            let Some(index) = most.filter(|&i| self.list[i].worth_mm > 0.0) else { return };
+            // What was claimed since can only have made it worth less; if it has not, nothing is worth more.
+            let now_mm = worth_mm(&self.list[index], &self.claims);
+            if now_mm < self.list[index].worth_mm {
+                self.list[index].worth_mm = now_mm;
+                continue;
+            }
+            self.list[index].worth_mm = f64::NEG_INFINITY;
+            self.claim(index);
+            if !stands(&self.list[index]) {
+                return;
+            }
+        }
+    }
+}
+
+/// Marks the end of a picture at a place: the nearest, for another wire may end beside it.
+fn take_end(nodes: &[ImageNode], at: &Vector2<f64>, taken: &mut [bool]) {
+    let distance_px = |node: &ImageNode| (node.position_px - at).norm();
+    let nearest = (0..nodes.len())
+        .filter(|&n| nodes[n].role == NodeRole::End && distance_px(&nodes[n]) < SAME_END_PX)
+        .min_by(|&a, &b| distance_px(&nodes[a]).total_cmp(&distance_px(&nodes[b])));
+    if let Some(n) = nearest {
+        taken[n] = true;
+    }
+}

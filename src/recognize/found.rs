@@ -1,0 +1,65 @@
+//! From an explanation that stands to what is told of the part.
+
+use arrayvec::ArrayVec;
+use nalgebra::Vector2;
+
+use super::Params;
+use super::explanations::{Explanation, SAME_END_PX};
+use super::prepared::Prepared;
+use super::result::{FoundNode, FoundPart, Seen};
+use super::spread::sigmas;
+use crate::grasp;
+use crate::matching::nodes::NodeRole;
+use crate::matching::select;
+use crate::part::NODES_MAX;
+use crate::picture::Picture;
+use crate::rig::Rig;
+
+/// The part that an explanation is.
+pub(super) fn found(
+    params: &Params,
+    rig: &Rig,
+    pictures: &[Picture; 2],
+    prepared: &Prepared,
+    e: &Explanation,
+    iterations: u64,
+) -> FoundPart {
+    let pose = e.fit.left_from_part;
+    let placed = prepared.placed(&pose, 0.0);
+    let grasp = grasp::grasp_of(&params.grasp, &placed);
+    let (sigma_mm, sigma_axis_rad) = sigmas(&params.grasp, prepared, &e.fit);
+    let sees = |side: usize, px: &Vector2<f64>| {
+        pictures[side]
+            .nodes()
+            .iter()
+            .any(|n| n.role != NodeRole::Bend && (n.position_px - px).norm() < SAME_END_PX)
+    };
+    let nodes = prepared.part.nodes.iter().map(|node| {
+        let left_mm = pose * node.position_mm;
+        let left_px = rig.project_left(&left_mm).unwrap_or_default();
+        let right_px = rig.project_right(&left_mm).unwrap_or_default();
+        let seen = match (sees(0, &left_px), sees(1, &right_px)) {
+            (true, true) => Seen::Both,
+            (true, false) => Seen::Left,
+            (false, true) => Seen::Right,
+            (false, false) => Seen::None,
+        };
+        FoundNode { left_mm, left_px, right_px, seen }
+    });
+    let nodes: ArrayVec<FoundNode, NODES_MAX> = nodes.collect();
+    let unseen = nodes.iter().filter(|n| n.seen == Seen::None).count();
+    FoundPart {
+        part: e.hypothesis.part,
+        fitness: e.verdict.terms(unseen).fitness(&params.weights),
+        left_from_part: pose,
+        nodes,
+        grasp,
+        sigma_mm,
+        sigma_axis_rad,
+        blocked: None,
+        iterations,
+        sound: select::is_sound(&e.fit, &e.verdict),
+        proven: select::is_proven(&prepared.pose_model, &e.fit, &e.verdict),
+        clear: e.verdict.clear[0].min(e.verdict.clear[1]),
+    }
+}
