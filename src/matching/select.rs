@@ -195,6 +195,18 @@ pub fn is_sound(fit: &Fit, verdict: &Verdict) -> bool {
         && fit.misfit < 1.5
 }
 
+/// Whether an explanation is held along its wire: both pictures see an end of it where it should be, all its wire is
+/// there and none beyond. The same part can then lie nowhere else on this wire: it would reach beyond the seen end, or stop
+/// in the middle of wire.
+pub fn is_anchored(fit: &Fit, verdict: &Verdict) -> bool {
+    verdict.ends_in_both > 0
+        && verdict.end_offset_px < 1.0
+        && verdict.missing.iter().all(|m| *m < 0.02)
+        && verdict.overrun_mm == 0.0
+        && verdict.offset_px < 0.4
+        && fit.misfit < 1.5
+}
+
 /// Whether the length of a part is proved: nothing speaks against it, or each free end is seen in a picture, or it is
 /// bent, so that it cannot have slid along itself.
 pub fn is_proven(model: &PoseModel, fit: &Fit, verdict: &Verdict) -> bool {

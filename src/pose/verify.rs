@@ -50,6 +50,8 @@ pub struct Verdict {
     pub ends_seen: u32,
     /// Free ends that are seen in at least one picture.
     pub ends_shown: u32,
+    /// Free ends that both pictures show.
+    pub ends_in_both: u32,
     /// Second largest distance of a seen end from the expected one, in pixels: one alone may belong to a neighbour.
     pub end_offset_px: f64,
     /// Sum of the distances of all seen ends from the expected ones, in pixels.
@@ -156,6 +158,9 @@ fn judge_ends(refine: &Refine, verdict: &mut Verdict) {
     (verdict.ends_seen, verdict.end_offset_px, verdict.ends_off_px) = (0, 0.0, 0.0);
     let shown = |end: &&[Option<EndSighting>; 2]| end.iter().flatten().any(|e| e.beyond_px.is_some());
     verdict.ends_shown = refine.ends().iter().filter(shown).count() as u32;
+    let in_both =
+        |end: &&[Option<EndSighting>; 2]| end.iter().all(|side| side.is_some_and(|e| e.beyond_px.is_some()));
+    verdict.ends_in_both = refine.ends().iter().filter(in_both).count() as u32;
     let mut largest: f64 = 0.0;
     verdict.hidden_px = refine.ends().iter().flatten().flatten().map(|e| e.mask_beyond_px).sum();
     for beyond in refine.ends().iter().flatten().flatten().filter_map(|e| e.beyond_px) {

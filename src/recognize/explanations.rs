@@ -163,6 +163,8 @@ impl Explanations {
                     take_end(scene.image_nodes[side], &end.expected_px, &mut self.ends_taken[side]);
                 }
             }
+        } else if select::is_anchored(&fit, verdict) {
+            self.claim(self.count);
         }
         self.count += 1;
     }
