@@ -105,56 +105,101 @@ impl<'a> Profiler<'a> {
     }
 
     /// How far beyond `end` (in pixels, negative: before) the wire ends, along the unit vector `outward`, where
-    /// it ends within `search_px` against the background; averaged over `rays` side by side, given
-    /// by their distances from the middle in half widths.
+    /// it ends within `search_px` against the background.
     pub fn end(
         &self,
         end: Vector2<f64>,
         outward: Vector2<f64>,
         half_width_px: f64,
         search_px: f64,
-        rays: &[f64],
+        look: EndLook,
     ) -> Option<f64> {
-        // One ray is a quick look.
-        let samples_per_px = if rays.len() > 1 { 2.0 } else { 1.0 };
+        let (samples_per_px, rays): (f64, &[(f64, Side)]) = match look {
+            EndLook::Quick => (1.0, &[(0.0, Side::Middle)]),
+            EndLook::Close => (2.0, &END_RAYS),
+        };
         let inside_px = (3.0 * half_width_px).max(search_px + 2.0);
         let outside_px = search_px + BEHIND_END_PX + 0.5;
         let count = (((inside_px + outside_px) * samples_per_px) as usize + 1).min(SAMPLES_MAX);
-        let side = Vector2::new(-outward.y, outward.x) * half_width_px;
-        let mut sums = [0f32; SAMPLES_MAX];
+        let beside = Vector2::new(-outward.y, outward.x) * half_width_px;
         let step = outward / samples_per_px;
-        for ray in rays {
-            let from = end - outward * inside_px + side * *ray;
+        let mut sums = [[0f32; SAMPLES_MAX]; 3];
+        for (ray, side) in rays {
+            let from = end - outward * inside_px + beside * *ray;
             if !self.inside(from) || !self.inside(from + step * (count - 1) as f64) {
                 return None;
             }
-            self.luma.add_line(from.into(), step.into(), &mut sums[..count]);
+            self.luma.add_line(from.into(), step.into(), &mut sums[*side as usize][..count]);
         }
-        let scale = self.sign / rays.len() as f64;
-        let mut profile = [0.0; SAMPLES_MAX];
-        for (p, sum) in profile.iter_mut().zip(&sums[..count]) {
-            *p = f64::from(*sum) * scale;
-        }
-        let profile = &profile[..count];
         let well_inside = ((inside_px - search_px - 1.0).max(1.0) * samples_per_px) as usize;
+        let mut profile = [0.0; SAMPLES_MAX];
+        let profile = &mut profile[..count];
+        for (i, p) in profile.iter_mut().enumerate() {
+            *p = f64::from(sums[0][i] + sums[1][i] + sums[2][i]) * self.sign / rays.len() as f64;
+        }
         let level = profile[..well_inside].iter().sum::<f64>() / well_inside as f64;
         let floor = profile[well_inside..].iter().copied().fold(f64::INFINITY, f64::min);
         if level - floor < self.contrast_min {
             return None;
         }
-        let at = (level + floor) / 2.0;
-        let i = (well_inside..count).find(|&i| profile[i] <= at)?;
-        let f = (profile[i - 1] - at) / (profile[i - 1] - profile[i]);
+        let at = fallen_half_way(profile, well_inside, floor)?;
         // Behind an end is floor; a dark seam with another wire behind it is none.
-        let behind = (i + (1.0 * samples_per_px) as usize).min(count)
-            ..(i + (BEHIND_END_PX * samples_per_px) as usize).min(count);
+        let after = |px: f64| (at.ceil() as usize + (px * samples_per_px) as usize).min(count);
         let bright = floor + BEHIND_END_MAX * (level - floor);
-        if profile[behind].iter().any(|&v| v > bright) {
+        if profile[after(1.0)..after(BEHIND_END_PX)].iter().any(|&v| v > bright) {
             return None;
         }
-        let px = (i as f64 - 1.0 + f) / samples_per_px - inside_px;
-        (px.abs() <= search_px).then_some(px)
+        let px = at / samples_per_px - inside_px;
+        if px.abs() > search_px {
+            return None;
+        }
+        if let EndLook::Close = look {
+            let rays_a_side = ((rays.len() - 1) / 2) as f64;
+            let mut ends_at = |side: Side| {
+                for (p, sum) in profile.iter_mut().zip(sums[side as usize]) {
+                    *p = f64::from(sum) * self.sign / rays_a_side;
+                }
+                fallen_half_way(profile, well_inside, floor)
+            };
+            let slant_px = (ends_at(Side::Right)? - ends_at(Side::Left)?).abs() / samples_per_px;
+            if slant_px > END_SLANT_MAX * END_SIDES_APART * half_width_px {
+                return None;
+            }
+        }
+        Some(px)
     }
+}
+
+/// How an end is looked at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EndLook {
+    /// Along one line.
+    Quick,
+    /// Along several lines side by side, which must end about level: what a neighbour hides ends obliquely.
+    Close,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Side {
+    Left,
+    Middle,
+    Right,
+}
+
+/// Where an end is looked at closely, in half widths from the middle.
+const END_RAYS: [(f64, Side); 5] =
+    [(-0.5, Side::Left), (-0.25, Side::Left), (0.0, Side::Middle), (0.25, Side::Right), (0.5, Side::Right)];
+/// How far the middles of both sides of these are apart.
+const END_SIDES_APART: f64 = 0.75;
+/// Tangent of the angle by which an end may seem cut obliquely. Of ends that are nobody else's, 97 in 100 are below 0.42.
+const END_SLANT_MAX: f64 = 0.5;
+
+/// Where a profile, bright up to `well_inside`, has first fallen half the way to `floor`, in samples.
+fn fallen_half_way(profile: &[f64], well_inside: usize, floor: f64) -> Option<f64> {
+    let level = profile[..well_inside].iter().sum::<f64>() / well_inside as f64;
+    let at = (level + floor) / 2.0;
+    let i = (well_inside..profile.len()).find(|&i| profile[i] <= at)?;
+    Some((i - 1) as f64 + (profile[i - 1] - at) / (profile[i - 1] - profile[i]))
 }
 
 /// Where a profile has fallen half the way on both sides of its peak, in samples.

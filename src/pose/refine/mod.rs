@@ -20,7 +20,7 @@ use aim::{ONE_WIRE, aim, end_is_bare, lifted, mask_beyond_px};
 use equations::{Doubt, Equations, Measurement, Solution};
 
 use super::model::PoseModel;
-use super::section::{Profiler, Section, mask_run};
+use super::section::{EndLook, Profiler, Section, mask_run};
 use crate::rig::{CameraModel, Rig};
 use crate::vision::bits::{BitImage, nearest};
 use crate::vision::level::Level;
@@ -31,8 +31,6 @@ const STATIONS_MAX: usize = 1024;
 const COARSE_STRIDE: usize = 3;
 /// See [`Measurement::patience`].
 const END_PATIENCE: f64 = 4.0;
-/// Where an end is looked at side by side, in half widths from the middle.
-const END_RAYS: [f64; 5] = [-0.5, -0.25, 0.0, 0.25, 0.5];
 /// How far the outlines are looked for at first and later, and the residuals at which belief has halved, in pixels.
 const FINE_FIRST: (f64, [f64; 4]) = (2.5, [1.5, 3.5 / 3.0, 2.5 / 3.0, 0.5]);
 const FINE_NEXT: (f64, [f64; 4]) = (1.5, [0.7, 1.9 / 3.0, 1.7 / 3.0, 0.5]);
@@ -279,7 +277,7 @@ impl Refine {
                 })
             }));
         }
-        self.look_at_ends(model, pose, views, search_px + 3.5, &END_RAYS);
+        self.look_at_ends(model, pose, views, search_px + 3.5, EndLook::Close);
     }
 
     fn look_at_ends(
@@ -288,7 +286,7 @@ impl Refine {
         pose: &Isometry3<f64>,
         views: &[View; 2],
         search_px: f64,
-        rays: &[f64],
+        how: EndLook,
     ) {
         let centre = pose * model.centre_mm;
         let Self { ends, params, eye, .. } = self;
@@ -301,10 +299,10 @@ impl Refine {
                 let aim = aim(model.radius_mm, &lifted, &outward, view)?;
                 let beyond_px = view
                     .profiler
-                    .end(aim.px, aim.along, aim.half_width_px, search_px, rays)
+                    .end(aim.px, aim.along, aim.half_width_px, search_px, how)
                     .filter(|&beyond| end_is_bare(&aim, beyond, view))
                     .map(|beyond| beyond + params.end_reach_radii * aim.half_width_px);
-                let hidden = rays.len() > 1 && beyond_px.is_none();
+                let hidden = how == EndLook::Close && beyond_px.is_none();
                 Some(EndSighting {
                     beyond_px,
                     expected_px: aim.px,
@@ -335,7 +333,7 @@ impl Refine {
                 self.push(gradient, middle, 2.0 * self.params.section_sigma_px, 1.0, shaded);
             }
         }
-        self.look_at_ends(model, pose, views, search_px + 4.0, &[0.0]);
+        self.look_at_ends(model, pose, views, search_px + 4.0, EndLook::Quick);
         self.observe_ends();
     }
 
