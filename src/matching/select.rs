@@ -8,7 +8,7 @@ use nalgebra::Vector2;
 
 use crate::pose::model::PoseModel;
 use crate::pose::refine::Fit;
-use crate::pose::verify::{PieceSight, Sight, Verdict};
+use crate::pose::verify::{self, PieceSight, Sight, Verdict};
 
 /// When an explanation stands.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -216,8 +216,12 @@ pub fn worth_mm(
     if least < params.seen_min * model.length_mm {
         return None;
     }
+    // Wire that goes on is no riddle where it is known whose it is.
+    let overrun_mm = verify::overrun_mm(model, &verdict.onward, |piece| {
+        !claims[piece.side].is_claimed_at(&piece.expected_px, &piece.across)
+    });
     let px_per_mm = verdict.pieces.first().map_or(1.0, |p| p[0].half_width_px / model.radius_mm).max(1e-3);
-    let against = missing * model.length_mm + verdict.overrun_mm + verdict.ends_off_px / px_per_mm;
+    let against = missing * model.length_mm + overrun_mm + verdict.ends_off_px / px_per_mm;
     let ends = params.seen_end_mm * f64::from(verdict.ends_seen)
         - params.hidden_weight * verdict.hidden_px / px_per_mm;
     let misfit = params.misfit_mm * (fit.misfit - MISFIT_USUAL).max(0.0);

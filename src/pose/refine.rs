@@ -10,8 +10,6 @@
 //! [`Params::end_lift_radii`] for ends. Both were measured on rendered scenes of seven rigs, over which they differ
 //! by 0.07 and 0.1 radii.
 
-use std::ops::Range;
-
 use nalgebra::{
     Cholesky, Const, Isometry3, Matrix2x3, Matrix3, Matrix6, Point3, Rotation3, SMatrix, SVector,
     Translation3, Vector2, Vector3, Vector6,
@@ -19,6 +17,7 @@ use nalgebra::{
 
 use super::model::PoseModel;
 use super::section::{Profiler, Section, mask_run};
+use super::width::{ONE_WIRE, UsualWidth};
 use crate::rig::{CameraModel, Rig};
 use crate::vision::bits::{BitImage, nearest};
 
@@ -32,9 +31,6 @@ const REWEIGHTINGS: u32 = 4;
 const END_PATIENCE: f64 = 4.0;
 /// Where the width is looked at before an end, in half widths.
 const BARE_HALF_WIDTHS: [f64; 3] = [0.8, 1.6, 2.8];
-/// Seen width of one wire over that of its silhouette: less than this, and a neighbour hides a part of it; more, and
-/// one touches it.
-const ONE_WIRE: Range<f64> = 0.5..1.2;
 /// See [`EndSighting::mask_beyond_px`].
 const HIDDEN_PX_MAX: u32 = 12;
 /// Where an end is looked at side by side, in half widths from the middle.
@@ -172,6 +168,8 @@ pub struct Refine {
     observations: Vec<Observation>,
     sightings: Vec<[Option<Sighting>; 2]>,
     ends: Vec<[Option<EndSighting>; 2]>,
+    /// Seen widths, to take their median.
+    ratios: Vec<f64>,
     eye: Point3<f64>,
 }
 
@@ -184,6 +182,7 @@ impl Refine {
             observations: Vec::with_capacity(OBSERVATIONS_MAX),
             sightings: Vec::with_capacity(OBSERVATIONS_MAX),
             ends: Vec::with_capacity(64),
+            ratios: Vec::with_capacity(OBSERVATIONS_MAX),
             eye: nalgebra::center(&Point3::origin(), &right_eye),
         }
     }
@@ -342,14 +341,18 @@ impl Refine {
 
     fn observe_outlines(&mut self, model: &PoseModel, search_px: f64) {
         self.observations.clear();
+        let usual = [0, 1].map(|side| self.usual_width(model, side));
         for (k, station) in model.stations.iter().enumerate().take(self.sightings.len()) {
             if station.at_joint {
                 continue;
             }
-            for side in 0..2 {
+            for (side, usual) in usual.iter().enumerate() {
                 let Some(sighting) = self.sightings[k][side] else { continue };
                 let Some(section) = sighting.section else { continue };
-                if let Some((middle, sigma)) = self.middle_of(&section, sighting.half_width_px, search_px) {
+                let half_width_px = sighting.half_width_px;
+                if let Some((middle, sigma)) =
+                    usual.middle_of(&section, half_width_px, search_px, self.params.section_sigma_px)
+                {
                     self.push(sighting.gradient, middle, sigma, 1.0, model.straight_along.map(|_| side));
                 }
             }
@@ -367,27 +370,16 @@ impl Refine {
         }
     }
 
-    /// Middle of the wire and its standard deviation from what is seen of its outline.
-    fn middle_of(&self, section: &Section, half_width_px: f64, search_px: f64) -> Option<(f64, f64)> {
-        let Params { outline_ratio, section_sigma_px, .. } = self.params;
-        let half = half_width_px * outline_ratio;
-        let near = |px: f64| px.abs() < search_px + 0.5 * half_width_px;
-        if let Some((middle, width)) = section.middle_and_width() {
-            let ratio = width / (2.0 * half_width_px);
-            if ONE_WIRE.contains(&ratio) {
-                return near(middle).then_some((middle, section_sigma_px));
-            }
-        }
-        // Wider than the wire: something touches one side. The side nearer to its expected place is believed.
-        let low = section.low_px.map(|l| l + half).filter(|&m| near(m));
-        let high = section.high_px.map(|h| h - half).filter(|&m| near(m));
-        let middle = match (low, high) {
-            (Some(l), Some(h)) if l.abs() > h.abs() => h,
-            (Some(l), _) => l,
-            (None, Some(h)) => h,
-            (None, None) => return None,
-        };
-        Some((middle, 4.0 * section_sigma_px))
+    /// Seen width of the wire in one picture.
+    fn usual_width(&mut self, model: &PoseModel, side: usize) -> UsualWidth {
+        let Self { sightings, ratios, params, .. } = self;
+        ratios.clear();
+        let stations = model.stations.iter().zip(sightings.iter()).filter(|(station, _)| !station.at_joint);
+        ratios.extend(stations.filter_map(|(_, seen)| {
+            let sighting = seen[side].as_ref()?;
+            sighting.section?.ratio(sighting.half_width_px)
+        }));
+        UsualWidth::of(ratios).unwrap_or(UsualWidth { ratio: params.outline_ratio, spread: 0.0 })
     }
 
     fn push(
@@ -499,17 +491,23 @@ impl Refine {
         Some((aim.px, aim.across))
     }
 
-    /// Looks for wire at a place where the part has none, and gives what it sees there.
+    /// Looks for wire at a place where the part has none, and gives what one picture shows there.
     pub fn look_beyond(
         &self,
         radius_mm: f64,
         point: &Point3<f64>,
         tangent: &Vector3<f64>,
         view: &View,
-    ) -> Option<(Section, f64)> {
+    ) -> Option<Sighting> {
         let lifted = lifted(self.params.lift_radii, &self.eye, radius_mm, point, tangent);
         let aim = aim(radius_mm, &lifted, tangent, view)?;
-        Some((view.profiler.across(aim.px, aim.across, aim.half_width_px, 1.0)?, aim.half_width_px))
+        Some(Sighting {
+            section: view.profiler.across(aim.px, aim.across, aim.half_width_px, 1.0),
+            expected_px: aim.px,
+            across: aim.across,
+            half_width_px: aim.half_width_px,
+            ..Sighting::default()
+        })
     }
 }
 
