@@ -8,7 +8,7 @@ use nalgebra::Vector2;
 
 use crate::pose::model::PoseModel;
 use crate::pose::refine::Fit;
-use crate::pose::verify::{PieceSight, Sight, Verdict};
+use crate::pose::verify::{self, PieceSight, Sight, Verdict};
 use crate::vision::bits::nearest;
 
 /// When an explanation stands.
@@ -215,38 +215,54 @@ pub fn is_proven(model: &PoseModel, fit: &Fit, verdict: &Verdict) -> bool {
         || is_sound(fit, verdict)
 }
 
-/// What an explanation is worth in mm of wire, given what is claimed; `None` where it does not stand. The more is
-/// claimed, the less it is worth.
-pub fn worth_mm(
+/// What an explanation is worth, in mm of wire.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Worth {
+    /// Given what is claimed.
+    pub now_mm: f64,
+    /// At most, whatever else may be claimed.
+    pub at_most_mm: f64,
+}
+
+impl Worth {
+    /// Of what does not stand.
+    pub const NONE: Self = Self { now_mm: f64::NEG_INFINITY, at_most_mm: f64::NEG_INFINITY };
+}
+
+/// What an explanation is worth, given what is claimed.
+pub fn worth(
     params: &Params,
     model: &PoseModel,
     fit: &Fit,
     verdict: &Verdict,
     claims: &[ClaimMap; 2],
-) -> Option<f64> {
+) -> Worth {
     let missing = (verdict.missing[0] + verdict.missing[1]) / 2.0;
     if missing > params.missing_max
         || verdict.offset_px > params.offset_px_max
         || verdict.end_offset_px > params.end_offset_px_max
     {
-        return None;
+        return Worth::NONE;
     }
     let (free, claimed) = free_and_claimed_mm(model, verdict, claims);
     let least = free[0].min(free[1]);
     if least < params.seen_min * model.length_mm {
-        return None;
+        return Worth::NONE;
     }
+    // Wire that goes on is no riddle where it is known whose it is.
+    let overrun_mm = verify::overrun_mm(model, &verdict.onward, |piece| {
+        !claims[piece.side].is_claimed_at(&piece.expected_px, &piece.across)
+    });
     let px_per_mm = verdict.pieces.first().map_or(1.0, |p| p[0].half_width_px / model.radius_mm).max(1e-3);
-    let against = missing * model.length_mm + verdict.overrun_mm + verdict.ends_off_px / px_per_mm;
+    let against = missing * model.length_mm + verdict.ends_off_px / px_per_mm;
     let ends = params.seen_end_mm * f64::from(verdict.ends_seen)
         - params.hidden_weight * verdict.hidden_px / px_per_mm;
     let misfit = params.misfit_mm * (fit.misfit - MISFIT_USUAL).max(0.0);
-    Some(
-        (free[0] + free[1]) / 2.0 + ends
-            - misfit
-            - params.against * against
-            - params.claimed_weight * claimed,
-    )
+    let at_most_mm = (free[0] + free[1]) / 2.0 + ends
+        - misfit
+        - params.against * against
+        - params.claimed_weight * claimed;
+    Worth { now_mm: at_most_mm - params.against * overrun_mm, at_most_mm }
 }
 
 #[cfg(test)]

@@ -4,3 +4,4 @@ pub mod model;
 pub mod refine;
 pub mod section;
 pub mod verify;
+pub mod width;

@@ -46,6 +46,8 @@ pub struct Verdict {
     pub missing: [f64; 2],
     /// How far wire of the same width goes straight on where the part ends or bends, in mm; the longest.
     pub overrun_mm: f64,
+    /// The pieces of that wire, stop by stop.
+    pub onward: Vec<OnwardPiece>,
     /// Free ends that are seen, in both pictures together.
     pub ends_seen: u32,
     /// Free ends that are seen in at least one picture.
@@ -86,6 +88,19 @@ pub struct Stop {
     pub onward: Vector3<f64>,
     /// Index of the free end that it is, if it is one.
     pub end: Option<usize>,
+}
+
+/// Wire that goes on where the part stops, in one picture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OnwardPiece {
+    /// Index of the stop.
+    pub stop: usize,
+    /// Picture: 0 left, 1 right.
+    pub side: usize,
+    /// Where its middle is expected.
+    pub expected_px: Vector2<f64>,
+    /// Unit vector across.
+    pub across: Vector2<f64>,
 }
 
 /// How far onward is looked, in thicknesses.
@@ -131,7 +146,17 @@ pub fn verify(
     verdict.clear = shares.map(|s| s[0]);
     verdict.missing = shares.map(|s| s[1]);
     verdict.offset_px = if seen > 0.0 { f64::sqrt(squares / seen) } else { f64::INFINITY };
-    verdict.overrun_mm = stops.iter().map(|s| overrun_mm(refine, model, s, pose, views)).fold(0.0, f64::max);
+    verdict.onward.clear();
+    verdict.onward.reserve(stops.len() * 2 * ONWARD_THICKNESSES.len());
+    for (index, stop) in stops.iter().enumerate() {
+        // Where both see the end, floor lies behind it, and what comes then is another's.
+        let end = stop.end.and_then(|end| refine.ends().get(end));
+        if end.is_some_and(|end| end.iter().all(|side| side.is_some_and(|e| e.beyond_px.is_some()))) {
+            continue;
+        }
+        look_onward(refine, model, index, stop, pose, views, &mut verdict.onward);
+    }
+    verdict.overrun_mm = overrun_mm(model, &verdict.onward, |_| true);
     judge_ends(refine, verdict);
 }
 
@@ -171,30 +196,39 @@ fn judge_ends(refine: &Refine, verdict: &mut Verdict) {
     }
 }
 
-/// How far clean wire goes on beyond a stop, the mean of both pictures. Where both see the end, floor lies behind it,
-/// and what comes then is another's.
-fn overrun_mm(
+/// Adds the pieces of clean wire beyond a stop.
+fn look_onward(
     refine: &Refine,
     model: &PoseModel,
+    index: usize,
     stop: &Stop,
     pose: &Isometry3<f64>,
     views: &[View; 2],
-) -> f64 {
+    pieces: &mut Vec<OnwardPiece>,
+) {
     let onward = pose.rotation * stop.onward;
     let place = pose * stop.position_mm;
-    let clean = |beyond: f64, view: &View| {
-        let at = place + onward * (beyond * 2.0 * model.radius_mm);
-        refine.look_beyond(model.radius_mm, &at, &onward, view).is_some_and(|(section, half)| {
-            section.middle_and_width().is_some_and(|(middle, width)| {
-                (0.6..1.2).contains(&(width / (2.0 * half))) && middle.abs() < 0.35 * half + 0.3
-            })
-        })
-    };
-    let end = stop.end.and_then(|end| refine.ends().get(end));
-    if end.is_some_and(|end| end.iter().all(|side| side.is_some_and(|e| e.beyond_px.is_some()))) {
-        return 0.0;
+    for (side, view) in views.iter().enumerate() {
+        for beyond in ONWARD_THICKNESSES {
+            let at = place + onward * (beyond * 2.0 * model.radius_mm);
+            let Some(sighting) = refine.look_beyond(model.radius_mm, &at, &onward, view) else { continue };
+            let is_clean =
+                sighting.section.and_then(|s| s.middle_and_width()).is_some_and(|(middle, width)| {
+                    (0.6..1.2).contains(&(width / (2.0 * sighting.half_width_px)))
+                        && middle.abs() < 0.35 * sighting.half_width_px + 0.3
+                });
+            if is_clean {
+                let Sighting { expected_px, across, .. } = sighting;
+                pieces.push(OnwardPiece { stop: index, side, expected_px, across });
+            }
+        }
     }
-    let reached: usize =
-        views.iter().map(|view| ONWARD_THICKNESSES.iter().filter(|&&b| clean(b, view)).count()).sum();
-    reached as f64 * model.radius_mm
+}
+
+/// How far wire goes on beyond a stop, the mean of both pictures and the longest of all stops, in mm; `counts` says
+/// of a piece whether it belongs to that wire.
+pub fn overrun_mm(model: &PoseModel, onward: &[OnwardPiece], counts: impl Fn(&OnwardPiece) -> bool) -> f64 {
+    let of_stop = |pieces: &[OnwardPiece]| pieces.iter().filter(|p| counts(p)).count();
+    let longest = onward.chunk_by(|a, b| a.stop == b.stop).map(of_stop).max().unwrap_or(0);
+    longest as f64 * model.radius_mm
 }

@@ -10,7 +10,7 @@ use crate::matching::fitness::UNMATCHED;
 use crate::matching::hypotheses::Hypothesis;
 use crate::matching::nodes::{ImageNode, NodeRole};
 use crate::matching::problem::StereoNode;
-use crate::matching::select::{self, ClaimMap};
+use crate::matching::select::{self, ClaimMap, Worth};
 use crate::pose::refine::{self, Fit, Refine, View};
 use crate::pose::verify::{Verdict, verify};
 use crate::rig::Rig;
@@ -32,8 +32,8 @@ pub(super) struct Explanation {
     pub(super) hypothesis: Hypothesis,
     pub(super) fit: Fit,
     pub(super) verdict: Verdict,
-    /// What it is worth in the competition, or was when it was last asked.
-    worth_mm: f64,
+    /// How many stood when it was last asked what it is worth, and what it was worth then.
+    worth: (u32, Worth),
 }
 
 /// What hypotheses are held against.
@@ -149,7 +149,7 @@ impl Explanations {
         }
         if self.count == self.list.len() {
             let verdict = Verdict::default();
-            self.list.push(Explanation { hypothesis: *hypothesis, fit, verdict, worth_mm: 0.0 });
+            self.list.push(Explanation { hypothesis: *hypothesis, fit, verdict, worth: (0, Worth::NONE) });
         }
         let explanation = &mut self.list[self.count];
         (explanation.hypothesis, explanation.fit) = (*hypothesis, fit);
@@ -218,29 +218,37 @@ impl Explanations {
         mut stands: impl FnMut(&Explanation) -> bool,
     ) {
         self.claims.iter_mut().for_each(ClaimMap::clear);
-        let worth_mm = |e: &Explanation, claims: &[ClaimMap; 2]| {
-            let model = &parts[e.hypothesis.part].pose_model;
-            select::worth_mm(params, model, &e.fit, &e.verdict, claims).unwrap_or(f64::NEG_INFINITY)
-        };
         for explanation in &mut self.list[..self.count] {
-            explanation.worth_mm = worth_mm(explanation, &self.claims);
+            explanation.worth = (0, explanation.worth(parts, params, &self.claims));
         }
+        let mut standing = 0;
         loop {
-            let most =
-                (0..self.count).max_by(|&a, &b| self.list[a].worth_mm.total_cmp(&self.list[b].worth_mm));
-            let Some(index) = most.filter(|&i| self.list[i].worth_mm > 0.0) else { return };
-            // What was claimed since can only have made it worth less; if it has not, nothing is worth more.
-            let now_mm = worth_mm(&self.list[index], &self.claims);
-            if now_mm < self.list[index].worth_mm {
-                self.list[index].worth_mm = now_mm;
+            // A worth from before the last claim says only how much it is at most.
+            let worth_mm = |e: &Explanation| match e.worth {
+                (asked, worth) if asked == standing => worth.now_mm,
+                (_, worth) => worth.at_most_mm,
+            };
+            let most = self.all().iter().map(worth_mm).enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
+            let Some((index, _)) = most.filter(|(_, worth_mm)| *worth_mm > 0.0) else { return };
+            if self.list[index].worth.0 < standing {
+                self.list[index].worth = (standing, self.list[index].worth(parts, params, &self.claims));
                 continue;
             }
-            self.list[index].worth_mm = f64::NEG_INFINITY;
+            self.list[index].worth.1 = Worth::NONE;
             self.claim(index);
+            standing += 1;
             if !stands(&self.list[index]) {
                 return;
             }
         }
+    }
+}
+
+impl Explanation {
+    /// What it is worth, given what is claimed.
+    fn worth(&self, parts: &[Prepared], params: &select::Params, claims: &[ClaimMap; 2]) -> Worth {
+        let model = &parts[self.hypothesis.part].pose_model;
+        select::worth(params, model, &self.fit, &self.verdict, claims)
     }
 }
 

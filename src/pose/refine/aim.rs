@@ -1,17 +1,13 @@
 //! Where a piece of wire is expected in one picture, and what is seen of it there.
 
-use std::ops::Range;
-
 use nalgebra::{Matrix2x3, Point3, Vector2, Vector3, Vector6};
 
 use super::View;
+use crate::pose::width::ONE_WIRE;
 use crate::vision::bits::{BitImage, nearest};
 
 /// Where the width is looked at before an end, in half widths.
 const BARE_HALF_WIDTHS: [f64; 3] = [0.8, 1.6, 2.8];
-/// Seen width of one wire over that of its silhouette: less than this, and a neighbour hides a part of it; more, and
-/// one touches it.
-pub(super) const ONE_WIRE: Range<f64> = 0.5..1.2;
 /// See [`super::EndSighting::mask_beyond_px`].
 const HIDDEN_PX_MAX: u32 = 12;
 

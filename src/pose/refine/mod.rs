@@ -16,11 +16,12 @@ mod equations;
 use arrayvec::ArrayVec;
 use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Rotation3, Translation3, Vector2, Vector3, Vector6};
 
-use aim::{ONE_WIRE, aim, end_is_bare, lifted, mask_beyond_px};
+use aim::{aim, end_is_bare, lifted, mask_beyond_px};
 use equations::{Doubt, Equations, Measurement, Solution};
 
 use super::model::PoseModel;
 use super::section::{EndLook, Profiler, Section, mask_run};
+use super::width::UsualWidth;
 use crate::rig::{CameraModel, Rig};
 use crate::vision::bits::{BitImage, nearest};
 use crate::vision::level::Level;
@@ -145,6 +146,8 @@ pub struct Refine {
     equations: Equations,
     sightings: Vec<[Option<Sighting>; 2]>,
     ends: Vec<[Option<EndSighting>; 2]>,
+    /// Seen widths, to take their median.
+    ratios: Vec<f64>,
     eye: Point3<f64>,
 }
 
@@ -157,6 +160,7 @@ impl Refine {
             equations: Equations::new(Level::detect()),
             sightings: Vec::with_capacity(STATIONS_MAX),
             ends: Vec::with_capacity(64),
+            ratios: Vec::with_capacity(STATIONS_MAX),
             eye: nalgebra::center(&Point3::origin(), &right_eye),
         }
     }
@@ -339,14 +343,18 @@ impl Refine {
 
     fn observe_outlines(&mut self, model: &PoseModel, search_px: f64) {
         self.equations.clear();
+        let usual = [0, 1].map(|side| self.usual_width(model, side));
         for (k, station) in model.stations.iter().enumerate().take(self.sightings.len()) {
             if station.at_joint {
                 continue;
             }
-            for side in 0..2 {
+            for (side, usual) in usual.iter().enumerate() {
                 let Some(sighting) = self.sightings[k][side] else { continue };
                 let Some(section) = sighting.section else { continue };
-                if let Some((middle, sigma)) = self.middle_of(&section, sighting.half_width_px, search_px) {
+                let half_width_px = sighting.half_width_px;
+                if let Some((middle, sigma)) =
+                    usual.middle_of(&section, half_width_px, search_px, self.params.section_sigma_px)
+                {
                     self.push(sighting.gradient, middle, sigma, 1.0, model.straight_along.map(|_| side));
                 }
             }
@@ -364,27 +372,16 @@ impl Refine {
         }
     }
 
-    /// Middle of the wire and its standard deviation from what is seen of its outline.
-    fn middle_of(&self, section: &Section, half_width_px: f64, search_px: f64) -> Option<(f64, f64)> {
-        let Params { outline_ratio, section_sigma_px, .. } = self.params;
-        let half = half_width_px * outline_ratio;
-        let near = |px: f64| px.abs() < search_px + 0.5 * half_width_px;
-        if let Some((middle, width)) = section.middle_and_width() {
-            let ratio = width / (2.0 * half_width_px);
-            if ONE_WIRE.contains(&ratio) {
-                return near(middle).then_some((middle, section_sigma_px));
-            }
-        }
-        // Wider than the wire: something touches one side. The side nearer to its expected place is believed.
-        let low = section.low_px.map(|l| l + half).filter(|&m| near(m));
-        let high = section.high_px.map(|h| h - half).filter(|&m| near(m));
-        let middle = match (low, high) {
-            (Some(l), Some(h)) if l.abs() > h.abs() => h,
-            (Some(l), _) => l,
-            (None, Some(h)) => h,
-            (None, None) => return None,
-        };
-        Some((middle, 4.0 * section_sigma_px))
+    /// Seen width of the wire in one picture.
+    fn usual_width(&mut self, model: &PoseModel, side: usize) -> UsualWidth {
+        let Self { sightings, ratios, params, .. } = self;
+        ratios.clear();
+        let stations = model.stations.iter().zip(sightings.iter()).filter(|(station, _)| !station.at_joint);
+        ratios.extend(stations.filter_map(|(_, seen)| {
+            let sighting = seen[side].as_ref()?;
+            sighting.section?.ratio(sighting.half_width_px)
+        }));
+        UsualWidth::of(ratios).unwrap_or(UsualWidth { ratio: params.outline_ratio, spread: 0.0 })
     }
 
     fn push(
@@ -424,17 +421,23 @@ impl Refine {
         Some((aim.px, aim.across))
     }
 
-    /// Looks for wire at a place where the part has none, and gives what it sees there.
+    /// Looks for wire at a place where the part has none, and gives what one picture shows there.
     pub fn look_beyond(
         &self,
         radius_mm: f64,
         point: &Point3<f64>,
         tangent: &Vector3<f64>,
         view: &View,
-    ) -> Option<(Section, f64)> {
+    ) -> Option<Sighting> {
         let lifted = lifted(self.params.lift_radii, &self.eye, radius_mm, point, tangent);
         let aim = aim(radius_mm, &lifted, tangent, view)?;
-        Some((view.profiler.across(aim.px, aim.across, aim.half_width_px, 1.0)?, aim.half_width_px))
+        Some(Sighting {
+            section: view.profiler.across(aim.px, aim.across, aim.half_width_px, 1.0),
+            expected_px: aim.px,
+            across: aim.across,
+            half_width_px: aim.half_width_px,
+            ..Sighting::default()
+        })
     }
 }
 
