@@ -13,7 +13,13 @@ use crate::rig::Rig;
 /// between their outlines is their axis.
 pub(super) fn lit(params: &Params) -> refine::Params {
     if params.binarize.iter().any(|b| b.inverted) {
-        refine::Params { lift_radii: 0.0, end_lift_radii: 0.0, outline_ratio: 1.0, ..params.refine }
+        refine::Params {
+            lift_radii: 0.0,
+            end_lift_radii: [0.93, -0.93],
+            faces_like_wire: true,
+            outline_ratio: 1.0,
+            ..params.refine
+        }
     } else {
         params.refine
     }
