@@ -11,10 +11,11 @@
 //! by 0.07 and 0.1 radii.
 
 use nalgebra::{
-    Cholesky, Const, Isometry3, Matrix2x3, Matrix3, Matrix6, Point3, Rotation3, SMatrix, SVector,
-    Translation3, Vector2, Vector3, Vector6,
+    Cholesky, Const, Isometry3, Matrix3, Matrix6, Point3, Rotation3, SMatrix, SVector, Translation3, Vector2,
+    Vector3, Vector6,
 };
 
+use super::aim::{Aim, aim, lifted};
 use super::model::PoseModel;
 use super::section::{Profiler, Section, mask_run};
 use super::width::{ONE_WIRE, UsualWidth};
@@ -539,19 +540,6 @@ impl Refine {
     }
 }
 
-/// The point whose picture the middle of the outline is: above the axis, towards the cameras, where the light is.
-fn lifted(
-    lift_radii: f64,
-    eye: &Point3<f64>,
-    radius_mm: f64,
-    point: &Point3<f64>,
-    tangent: &Vector3<f64>,
-) -> Point3<f64> {
-    let to_eye = eye - point;
-    let across = to_eye - tangent * tangent.dot(&to_eye);
-    point + across * (lift_radii * radius_mm / across.norm().max(1e-9))
-}
-
 /// Whether the wire just before an end seen `beyond` pixels beyond its expected place is as wide as one wire: an
 /// end that lies on another wire is not where the bright region ends, nor one of which a neighbour hides a corner.
 fn end_is_bare(aim: &Aim, beyond: f64, view: &View) -> bool {
@@ -583,39 +571,4 @@ fn moved(pose: &Isometry3<f64>, centre_mm: &Point3<f64>, twist: &Vector6<f64>) -
     let turn = Rotation3::new(Vector3::from(twist.fixed_rows::<3>(3)));
     let about_centre = Isometry3::from_parts(Translation3::from(centre + shift), turn.into());
     about_centre * Translation3::from(-centre) * pose
-}
-
-/// Where and how a piece of wire is expected in one picture.
-struct Aim {
-    px: Vector2<f64>,
-    along: Vector2<f64>,
-    across: Vector2<f64>,
-    half_width_px: f64,
-    /// Pixels per mm in the left camera's axes.
-    jacobian: Matrix2x3<f64>,
-}
-
-impl Aim {
-    /// Gradient of the pixel's movement along `direction` by displacement and rotation about a centre `arm` away.
-    fn gradient(&self, direction: &Vector2<f64>, arm: &Vector3<f64>) -> Vector6<f64> {
-        let force: Vector3<f64> = self.jacobian.tr_mul(direction);
-        let torque = arm.cross(&force);
-        Vector6::new(force.x, force.y, force.z, torque.x, torque.y, torque.z)
-    }
-}
-
-fn aim(radius_mm: f64, point: &Point3<f64>, tangent: &Vector3<f64>, view: &View) -> Option<Aim> {
-    let in_camera = Point3::from(view.rotation * point.coords + view.camera_from_left.translation.vector);
-    let (px, jacobian) = view.camera.project_with_jacobian(&in_camera)?;
-    let jacobian = jacobian * view.rotation;
-    let along = jacobian * tangent;
-    let norm = along.norm();
-    if norm < 1e-6 {
-        return None;
-    }
-    let along = along / norm;
-    let across = Vector2::new(-along.y, along.x);
-    // A radius at right angles to the line of sight, as many pixels as the picture moves across the wire.
-    let half_width_px = radius_mm * jacobian.tr_mul(&across).norm();
-    Some(Aim { px, along, across, half_width_px, jacobian })
 }

@@ -10,7 +10,8 @@ use crate::pose::section::Profiler;
 use crate::rig::Rig;
 
 /// Refinement as the light wants it: dark parts on a light floor are seen whole, so that the middle
-/// between their outlines is their axis.
+/// between their outlines is their axis, and the outline of an end is the rim of its silhouette, 0.93 radii from the axis
+/// in the mean over the width that is looked at.
 pub(super) fn lit(params: &Params) -> refine::Params {
     if params.binarize.iter().any(|b| b.inverted) {
         refine::Params {
