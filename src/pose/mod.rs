@@ -1,5 +1,6 @@
 //! From a rough pose to one that agrees with the outlines in both pictures, with its uncertainty.
 
+mod aim;
 pub mod model;
 pub mod refine;
 pub mod section;

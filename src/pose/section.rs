@@ -16,6 +16,9 @@ const BEHIND_END_PX: f64 = 4.0;
 /// How bright it may be behind an end, from floor (0) to wire (1).
 const BEHIND_END_MAX: f64 = 0.35;
 
+/// From so many widths on it is no shadow that joins a dark wire, but another wire.
+const SHADOW_WIDTHS_MAX: f64 = 1.2;
+
 /// The outline of a wire along a line across it, as signed distances in pixels from the line's origin.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Section {
@@ -99,7 +102,10 @@ impl<'a> Profiler<'a> {
         let span = px(2.0 * half_width_px + 3.0) as usize;
         let fall = outline(bytes, half - window..half + window + 1, span, self.contrast_min)?;
         let to_px = |at: f64| (first + at - centre) * scale;
-        let (low, high) = (fall.low.map(to_px), fall.high.map(to_px));
+        let (mut low, mut high) = (fall.low.map(|c| to_px(c.at)), fall.high.map(|c| to_px(c.at)));
+        if self.sign < 0.0 {
+            without_shadow(&fall, &mut low, &mut high, 2.0 * half_width_px);
+        }
         let (low_px, high_px) = if cos < 0.0 { (high.map(|h| -h), low.map(|l| -l)) } else { (low, high) };
         Some(Section { low_px, high_px })
     }
@@ -202,10 +208,35 @@ fn fallen_half_way(profile: &[f64], well_inside: usize, floor: f64) -> Option<f6
     Some((i - 1) as f64 + (profile[i - 1] - at) / (profile[i - 1] - profile[i]))
 }
 
-/// Where a profile has fallen half the way on both sides of its peak, in samples.
+/// Where a profile has fallen half the way on both sides of its peak.
 struct Fall {
-    low: Option<f64>,
-    high: Option<f64>,
+    low: Option<Crossing>,
+    high: Option<Crossing>,
+}
+
+/// Where a profile falls below a level, in samples, and how much it falls from one sample to the next.
+#[derive(Clone, Copy)]
+struct Crossing {
+    at: f64,
+    steepness: f64,
+}
+
+/// Takes the shadow off that joins a dark wire on a light floor: where the outlines are farther apart than the wire is
+/// wide, the flatter one is that of the shadow.
+fn without_shadow(fall: &Fall, low_px: &mut Option<f64>, high_px: &mut Option<f64>, width_px: f64) {
+    let (Some(low), Some(high), Some(low_crossing), Some(high_crossing)) =
+        (*low_px, *high_px, fall.low, fall.high)
+    else {
+        return;
+    };
+    if !(width_px..SHADOW_WIDTHS_MAX * width_px).contains(&(high - low)) {
+        return;
+    }
+    if low_crossing.steepness > high_crossing.steepness {
+        *high_px = Some(low + width_px);
+    } else {
+        *low_px = Some(high - width_px);
+    }
 }
 
 /// Finds the peak of `profile` within `window` and where it has fallen half the way to the lowest value within `span`
@@ -223,7 +254,7 @@ fn outline(profile: &[u8], window: Range<usize>, span: usize, contrast_min: f64)
     // Between a sample above and its neighbour at or below the level `at`.
     let crossing = |above: usize, below: usize, at: f64| {
         let (a, b) = (f64::from(profile[above]), f64::from(profile[below]));
-        above as f64 + (below as f64 - above as f64) * (a - at) / (a - b)
+        Crossing { at: above as f64 + (below as f64 - above as f64) * (a - at) / (a - b), steepness: a - b }
     };
     let low_end = peak.saturating_sub(span);
     let low = half_way(*profile[low_end..=peak].iter().min()?).and_then(|at| {
@@ -262,4 +293,35 @@ pub fn mask_run(
         high += 1;
     }
     Some(((low + high) as f64 / 2.0, (high - low + 1) as f64))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::Frame;
+
+    /// A dark upright wire, 6 pixels wide around x = 20, on a light floor; its shadow to the right.
+    fn dark_wire(shadow: &[u8]) -> Frame {
+        let row: Vec<u8> = (0..40)
+            .map(|x| match x {
+                17..=22 => 50,
+                23.. => shadow.get(x - 23).copied().unwrap_or(200),
+                _ => 200,
+            })
+            .collect();
+        Frame::from_rgb(40, 40, (0..40).flat_map(|_| row.iter().flat_map(|&v| [v; 3])).collect())
+    }
+
+    fn middle(frame: &Frame) -> f64 {
+        let profiler = Profiler::new(LumaView::new(frame).unwrap(), true, 12.0);
+        let at = Vector2::new(19.5, 20.0);
+        profiler.across(at, Vector2::new(1.0, 0.0), 3.0, 1.5).unwrap().middle_and_width().unwrap().0
+    }
+
+    #[test]
+    fn a_shadow_does_not_move_a_dark_wire() {
+        let without = middle(&dark_wire(&[]));
+        let with = middle(&dark_wire(&[115, 150, 180]));
+        assert!(without.abs() < 0.05 && (with - without).abs() < 0.05, "{without} {with}");
+    }
 }

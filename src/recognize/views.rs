@@ -10,10 +10,17 @@ use crate::pose::section::Profiler;
 use crate::rig::Rig;
 
 /// Refinement as the light wants it: dark parts on a light floor are seen whole, so that the middle
-/// between their outlines is their axis.
+/// between their outlines is their axis, and the outline of an end is the rim of its silhouette, 0.93 radii from the axis
+/// in the mean over the width that is looked at.
 pub(super) fn lit(params: &Params) -> refine::Params {
     if params.binarize.iter().any(|b| b.inverted) {
-        refine::Params { lift_radii: 0.0, end_lift_radii: 0.0, outline_ratio: 1.0, ..params.refine }
+        refine::Params {
+            lift_radii: 0.0,
+            end_lift_radii: [0.93, -0.93],
+            faces_like_wire: true,
+            outline_ratio: 1.0,
+            ..params.refine
+        }
     } else {
         params.refine
     }

@@ -10,15 +10,14 @@
 //! [`Params::end_lift_radii`] for ends. Both were measured on rendered scenes of seven rigs, over which they differ
 //! by 0.07 and 0.1 radii.
 
-mod aim;
 mod equations;
 
 use arrayvec::ArrayVec;
 use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Rotation3, Translation3, Vector2, Vector3, Vector6};
 
-use aim::{aim, end_is_bare, lifted, mask_beyond_px};
 use equations::{Doubt, Equations, Measurement, Solution};
 
+use super::aim::{aim, end_is_bare, lifted, mask_beyond_px};
 use super::model::PoseModel;
 use super::section::{EndLook, Profiler, Section, mask_run};
 use super::width::UsualWidth;
@@ -51,8 +50,11 @@ pub struct Params {
     pub shading_sigma_px: f64,
     /// Standard deviation of an end, in pixels.
     pub end_sigma_px: f64,
-    /// The same for the outline of an end, which is where the lit upper side stops.
-    pub end_lift_radii: f64,
+    /// The same for the outline of an end that leans up or away, whose face is not seen: where the lit upper side
+    /// stops. Then for one of which the face is seen, and as light as the wire: the lower rim.
+    pub end_lift_radii: [f64; 2],
+    /// Whether faces always are as light or dark as the wire, as those of dark parts are. Else light comes from above.
+    pub faces_like_wire: bool,
     /// How far beyond the seen outline of an end the wire reaches, in radii.
     pub end_reach_radii: f64,
     /// Rounds with the binary picture, from the rough pose on.
@@ -72,11 +74,28 @@ impl Default for Params {
             section_sigma_px: 0.15,
             shading_sigma_px: 0.01,
             end_sigma_px: 0.14,
-            end_lift_radii: 0.6,
+            end_lift_radii: [0.6, -0.93],
+            faces_like_wire: false,
             end_reach_radii: 0.03,
             coarse_rounds: 2,
             fine_rounds: 3,
             missing_max: 0.16,
+        }
+    }
+}
+
+impl Params {
+    /// Height above the axis of what is seen of an end that leans up by an angle with this sine, and its standard
+    /// deviation, in radii. The light from above that the face gets is `lean_sin` of what the wire gets; whether it
+    /// looks like wire or like floor depends on where exactly the lamp is.
+    fn end_lift(&self, lean_sin: f64, sees_face: bool) -> (f64, f64) {
+        let [upper, lower] = self.end_lift_radii;
+        if !sees_face {
+            (upper, 0.0)
+        } else if self.faces_like_wire {
+            (lower, 0.0)
+        } else {
+            (upper + (lower - upper) * lean_sin.max(0.0), (upper - lower) / 12f64.sqrt())
         }
     }
 }
@@ -123,6 +142,7 @@ pub struct EndSighting {
     pub outward: Vector2<f64>,
     /// Length of mask from the expected place outwards where the end is hidden, up to 12.
     pub mask_beyond_px: f64,
+    sigma_px: f64,
     gradient: Vector6<f64>,
 }
 
@@ -297,9 +317,13 @@ impl Refine {
         ends.clear();
         for end in &model.ends {
             let (point, outward) = (pose * end.position_mm, pose.rotation * end.outward);
-            let lifted = lifted(params.end_lift_radii, eye, model.radius_mm, &point, &outward);
+            let lean_sin = (*eye - point).normalize().dot(&outward);
             ends.push([0, 1].map(|side| {
                 let view = &views[side];
+                let faces = view.camera_from_left.inverse_transform_point(&Point3::origin());
+                let sees_face = (faces - point).dot(&outward) > 0.0;
+                let (lift_radii, lift_sigma) = params.end_lift(lean_sin, sees_face);
+                let lifted = lifted(lift_radii, eye, model.radius_mm, &point, &outward);
                 let aim = aim(model.radius_mm, &lifted, &outward, view)?;
                 let beyond_px = view
                     .profiler
@@ -312,6 +336,7 @@ impl Refine {
                     expected_px: aim.px,
                     outward: aim.along,
                     mask_beyond_px: if hidden { mask_beyond_px(view.mask, &aim) } else { 0.0 },
+                    sigma_px: params.end_sigma_px.hypot(lift_sigma * lean_sin * aim.half_width_px),
                     gradient: aim.gradient(&aim.along, &(point - centre)),
                 })
             }));
@@ -365,8 +390,10 @@ impl Refine {
     fn observe_ends(&mut self) {
         for k in 0..self.ends.len() {
             for side in 0..2 {
-                if let Some(EndSighting { beyond_px: Some(beyond), gradient, .. }) = self.ends[k][side] {
-                    self.push(gradient, beyond, self.params.end_sigma_px, END_PATIENCE, None);
+                if let Some(EndSighting { beyond_px: Some(beyond), sigma_px, gradient, .. }) =
+                    self.ends[k][side]
+                {
+                    self.push(gradient, beyond, sigma_px, END_PATIENCE, None);
                 }
             }
         }

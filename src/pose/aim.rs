@@ -1,15 +1,28 @@
-//! Where a piece of wire is expected in one picture, and what is seen of it there.
+//! Where and how wide a piece of wire is expected in a picture, and how that depends on the pose.
 
 use nalgebra::{Matrix2x3, Point3, Vector2, Vector3, Vector6};
 
-use super::View;
-use crate::pose::width::ONE_WIRE;
+use super::refine::View;
+use super::width::ONE_WIRE;
 use crate::vision::bits::{BitImage, nearest};
 
 /// Where the width is looked at before an end, in half widths.
 const BARE_HALF_WIDTHS: [f64; 3] = [0.8, 1.6, 2.8];
-/// See [`super::EndSighting::mask_beyond_px`].
+/// See [`super::refine::EndSighting::mask_beyond_px`].
 const HIDDEN_PX_MAX: u32 = 12;
+
+/// The point whose picture the middle of the outline is: above the axis, towards the cameras, where the light is.
+pub(super) fn lifted(
+    lift_radii: f64,
+    eye: &Point3<f64>,
+    radius_mm: f64,
+    point: &Point3<f64>,
+    tangent: &Vector3<f64>,
+) -> Point3<f64> {
+    let to_eye = eye - point;
+    let across = to_eye - tangent * tangent.dot(&to_eye);
+    point + across * (lift_radii * radius_mm / across.norm().max(1e-9))
+}
 
 /// Where and how a piece of wire is expected in one picture.
 pub(super) struct Aim {
@@ -18,7 +31,7 @@ pub(super) struct Aim {
     pub(super) across: Vector2<f64>,
     pub(super) half_width_px: f64,
     /// Pixels per mm in the left camera's axes.
-    jacobian: Matrix2x3<f64>,
+    pub(super) jacobian: Matrix2x3<f64>,
 }
 
 impl Aim {
@@ -30,6 +43,7 @@ impl Aim {
     }
 }
 
+/// Where wire of this radius is expected in one picture; `None` where the camera does not see it.
 pub(super) fn aim(radius_mm: f64, point: &Point3<f64>, tangent: &Vector3<f64>, view: &View) -> Option<Aim> {
     let in_camera = Point3::from(view.rotation * point.coords + view.camera_from_left.translation.vector);
     let (px, jacobian) = view.camera.project_with_jacobian(&in_camera)?;
@@ -44,19 +58,6 @@ pub(super) fn aim(radius_mm: f64, point: &Point3<f64>, tangent: &Vector3<f64>, v
     // A radius at right angles to the line of sight, as many pixels as the picture moves across the wire.
     let half_width_px = radius_mm * jacobian.tr_mul(&across).norm();
     Some(Aim { px, along, across, half_width_px, jacobian })
-}
-
-/// The point whose picture the middle of the outline is: above the axis, towards the cameras, where the light is.
-pub(super) fn lifted(
-    lift_radii: f64,
-    eye: &Point3<f64>,
-    radius_mm: f64,
-    point: &Point3<f64>,
-    tangent: &Vector3<f64>,
-) -> Point3<f64> {
-    let to_eye = eye - point;
-    let across = to_eye - tangent * tangent.dot(&to_eye);
-    point + across * (lift_radii * radius_mm / across.norm().max(1e-9))
 }
 
 /// Whether the wire just before an end seen `beyond` pixels beyond its expected place is as wide as one wire: an
