@@ -203,7 +203,7 @@ pub fn is_anchored(fit: &Fit, verdict: &Verdict) -> bool {
         && verdict.end_offset_px < 1.0
         && verdict.missing.iter().all(|m| *m < 0.02)
         && verdict.overrun_mm == 0.0
-        && verdict.offset_px < 0.4
+        && verdict.offset_px < 0.6
         && fit.misfit < 1.5
 }
 

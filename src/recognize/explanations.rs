@@ -32,6 +32,8 @@ pub(super) struct Explanation {
     pub(super) hypothesis: Hypothesis,
     pub(super) fit: Fit,
     pub(super) verdict: Verdict,
+    /// Whether its wire has been claimed before the competition.
+    has_claimed: bool,
     /// How many stood when it was last asked what it is worth, and what it was worth then.
     worth: (u32, Worth),
 }
@@ -149,10 +151,16 @@ impl Explanations {
         }
         if self.count == self.list.len() {
             let verdict = Verdict::default();
-            self.list.push(Explanation { hypothesis: *hypothesis, fit, verdict, worth: (0, Worth::NONE) });
+            self.list.push(Explanation {
+                hypothesis: *hypothesis,
+                fit,
+                verdict,
+                has_claimed: false,
+                worth: (0, Worth::NONE),
+            });
         }
         let explanation = &mut self.list[self.count];
-        (explanation.hypothesis, explanation.fit) = (*hypothesis, fit);
+        (explanation.hypothesis, explanation.fit, explanation.has_claimed) = (*hypothesis, fit, false);
         let verdict = &mut explanation.verdict;
         verify(&self.refine, model, &prepared.stops, &fit.left_from_part, &scene.views, verdict);
         if select::is_certain(&fit, verdict, model.ends.len()) {
@@ -174,6 +182,7 @@ impl Explanations {
     }
 
     fn claim(&mut self, index: usize) {
+        self.list[index].has_claimed = true;
         for piece in &self.list[index].verdict.pieces {
             self.claims[0].claim(&piece[0]);
             self.claims[1].claim(&piece[1]);
@@ -183,7 +192,8 @@ impl Explanations {
     /// Claims the wire of all explanations from `first` on that nothing speaks against.
     fn claim_sound(&mut self, first: usize) {
         for index in first..self.count {
-            if select::is_sound(&self.list[index].fit, &self.list[index].verdict) {
+            let Explanation { fit, verdict, has_claimed, .. } = &self.list[index];
+            if !has_claimed && select::is_sound(fit, verdict) {
                 self.claim(index);
             }
         }
