@@ -197,7 +197,8 @@ impl Recognizer {
             parts.iter().map(|p| p.least_seen_radii(params.select.seen_min)).fold(f64::INFINITY, f64::min);
         let half_px = [0, 1].map(|side: usize| half_width_px(&pictures[side]));
         let enough = |side: usize| {
-            unexplained_px(&pictures[side], &claims[side], &mut areas[side]) >= least_radii * half_px[side]
+            unexplained_px(&pictures[side], &claims[side], half_px[side], &mut areas[side])
+                >= least_radii * half_px[side]
         };
         if ![0, 1].into_iter().all(enough) {
             return false;

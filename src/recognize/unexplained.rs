@@ -19,8 +19,14 @@ pub(super) fn half_width_px(picture: &Picture) -> f64 {
 }
 
 /// Length of the skeleton that no part claims, in pixels; `area` becomes where it is.
-pub(super) fn unexplained_px(picture: &Picture, claims: &ClaimMap, area: &mut ridge::Area) -> f64 {
+pub(super) fn unexplained_px(
+    picture: &Picture,
+    claims: &ClaimMap,
+    half_px: f64,
+    area: &mut ridge::Area,
+) -> f64 {
     area.clear();
+    let margin_px = (MARGIN_HALF_WIDTHS * half_px) as usize;
     let mut count = 0u32;
     for &[x, y] in &picture.graph().points {
         if !claims.is_claimed_by_any(&Vector2::new(x.into(), y.into())) {
@@ -29,14 +35,15 @@ pub(super) fn unexplained_px(picture: &Picture, claims: &ClaimMap, area: &mut ri
                 continue;
             }
             // The mask reaches about half a wire farther than its skeleton, and what is put back there.
-            area.include(x.into(), y.into(), MARGIN_PX);
+            area.include(x.into(), y.into(), margin_px);
         }
     }
     f64::from(count)
 }
 
-/// How far beyond the skeleton wire is looked for, and around which of its pixels.
-const MARGIN_PX: usize = 16;
+/// How far from the skeleton ridges are looked for: of two wires that touch each is one half width away, of three two;
+/// and around which of its pixels.
+const MARGIN_HALF_WIDTHS: f64 = 4.0;
 const AREA_STRIDE: u32 = 4;
 
 /// Wider wire is not looked at by its ridge.
