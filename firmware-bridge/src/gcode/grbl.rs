@@ -398,6 +398,8 @@ impl GrblWire {
                 events.push(Event::Alarm { code: self.alarm.unwrap_or(0), position_lost: false });
             }
             State::Holding | State::Held | State::Blocked | State::Jog => events.push(Event::OperatorHold),
+            // What was held goes on: a cycle start button at the machine. Its lines belong to a pick that has failed.
+            State::Run if self.dirty => self.urgent = Some(b'!'),
             State::Run => {
                 self.idle_since = None;
                 events.push(Event::Passing(position_mm));

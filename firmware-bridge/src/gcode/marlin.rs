@@ -1,15 +1,20 @@
 //! Marlin 2: numbered lines with a checksum, one at a time, sent again on `Resend:` without ever being executed
 //! twice.
 //!
-//! `ok` means planned. Whether the arm moves is asked by M114, whose `Count` are the motors' steps; when they rest, M400
-//! and one more M114 confirm it. An `ok` is not taken for the end of a question whose answer has not come, so that
-//! an `ok` too many does no harm. (Marlin 1 answers M114 only at rest: there M400 comes first, and a silent
-//! controller is noticed later.) M410 and M112 are sent without a number, because only then Marlin looks at them
-//! before its queue; as one line at a time is on its way, the queue is never full and is read even while a command
-//! waits.
+//! `ok` means planned. That the arm stands is known from the answer to an M114 behind an M400: commands are worked on
+//! one after another, so that answer cannot come before every move is done, whatever `ok` too many was taken for that
+//! of the M400. (M114 alone proves nothing: since 2.0.6 both its coordinates and its `Count` are those of the last
+//! move that was planned, motion.cpp, `report_current_position_projected`.) An `ok` is not taken for the end of a
+//! question whose answer has not come. M410 and M112 are sent without a number, because only then Marlin looks at
+//! them before its queue; as one line at a time is on its way, the queue is never full and is read even while a
+//! command waits. After M410 it answers nothing for a second (planner.cpp, `cleaning_buffer_counter`).
 //!
-//! Sources: marlinfw.org/docs/gcode (M110, M112, M114, M115, M400, M410) and /docs/development, checked against the
-//! firmware's behaviour.
+//! Which number comes next Marlin says itself, in `Resend:`; a line of the wire's own takes that number. (M110 would set
+//! it once more when it is worked on, behind lines that were read meanwhile, and its `ok` looks like that of an
+//! M410.) A move that is asked for under another number than its own is an end of the session.
+//!
+//! Sources: marlinfw.org/docs/gcode (M110, M112, M114, M115, M400, M410) and the firmware's queue.cpp, motion.cpp,
+//! planner.cpp, gcode/host and gcode/control, versions 1.1 to 2.1.
 
 mod wire;
 
@@ -25,40 +30,47 @@ pub type Marlin = Driver<MarlinWire>;
 /// noticed within a second.
 const ANSWER: i64 = 250 * MS;
 const TRIES_MAX: u32 = 2;
+/// A servo takes its `SERVO_DELAY` of 300 ms, and Marlin reads nothing meanwhile.
+const ANSWER_ACTION: i64 = 1000 * MS;
 /// A command that waits says `busy` every two seconds, where the firmware was built with keep-alive.
 const ANSWER_WAITING: i64 = 5000 * MS;
+/// Sent again while it waits it is complained about at once.
+const ANSWER_WAITED: i64 = 1000 * MS;
+/// M410 takes a second, and one more when it comes out of the queue of a build without `EMERGENCY_PARSER`.
+const ANSWER_STOPPED: i64 = 2500 * MS;
+/// A greeting that begins with it is given so long.
+const GREETING: i64 = 8000 * MS;
 /// So many moves certainly fit into the planner.
 const MOVES_AHEAD: u32 = 6;
-/// While it moves the steps are asked for this often.
+/// After M410 the steps are looked at this often.
 const LOOK_AGAIN: i64 = 50 * MS;
-/// So many positions without `Count` are no accident.
-const COUNTLESS_MAX: u8 = 3;
-/// A first move waits 100 ms for others to come (`BLOCK_DELAY_FOR_1ST_MOVE` in planner.h): before that rest proves
-/// nothing.
-const FIRST_MOVE: i64 = 120 * MS;
 /// Homing says `busy` every two seconds.
 const ANSWER_HOME: i64 = 15_000 * MS;
 /// After `Resend:` the rest of the refused bytes, and the `ok` that some builds add, pass by.
 const RESEND_PAUSE: i64 = 25 * MS;
 /// M410 is repeated: where a cut line came before it, it may be thrown away with that.
-const STOP_AGAIN: [i64; 3] = [60 * MS, 150 * MS, 300 * MS];
+const STOP_AGAIN: [i64; 2] = [60 * MS, 200 * MS];
 /// Steps that still change when they were looked at so often: the controller is killed (M112).
 const STOP_LOOKS: u8 = 8;
 /// Without an answer after so long it is a lost connection.
-const STOP_LOST: i64 = 4000 * MS;
+const STOP_LOST: i64 = 8000 * MS;
+/// Builds that say `ok` before what they were asked for say no second one after it.
+const SECOND_OK: i64 = 30 * MS;
+/// Longer numbers make longer lines than it reads.
+const NUMBER_MAX: u32 = 9_999_999;
 const HEARTBEAT_MIN: i64 = 250 * MS;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Chore {
     Closed,
     Banner(i64),
-    /// M110, M115, M114 follow each other; since then.
+    /// M115, M114 follow each other; since then.
     Greet(Greeting, i64),
     /// Lines may flow.
     None,
-    /// M114 until it rests, then M400, then M114.
+    /// M400, then M114.
     Sync(Asking),
-    /// M410 was sent so many times, first then; then M110, M114 until it rests, M400, M114.
+    /// M410 was sent so many times, first then; then M114 until it rests, M400, M114.
     Stop {
         sent: usize,
         since: i64,
@@ -66,25 +78,20 @@ enum Chore {
         looks: u8,
     },
     Settle(Asking),
-    /// M110, then M999.
-    Unlock {
-        sent: bool,
-    },
+    /// M999 is on its way.
+    Unlock,
     /// The answer to this command is being read.
     Held,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Greeting {
-    Number,
     Who,
     Where,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Asking {
-    /// M110 is next or on its way.
-    Number,
     /// M114, to see whether the steps change.
     Look,
     /// M400 is next or on its way.
@@ -113,6 +120,16 @@ struct Flight {
     expires_ns: Option<i64>,
     /// How often a question was sent in its place since.
     replaced: u32,
+    /// The controller has its number: what is missing is its answer.
+    taken: bool,
+    /// An `ok` came, of this question or of something else.
+    ok_seen: bool,
+}
+
+impl Flight {
+    fn is_answered(&self, answered: Option<Question>) -> bool {
+        self.asks.is_some() && self.asks == answered
+    }
 }
 
 /// A question, whose answer comes before its `ok`.
@@ -143,15 +160,9 @@ pub struct MarlinWire {
     /// `Count` of the last two M114.
     steps: Option<[f64; 3]>,
     steps_before: Option<[f64; 3]>,
-    /// M114 is answered only at rest, or does not tell rest.
-    m114_waits: bool,
-    /// Positions in a row without `Count`.
-    countless: u8,
-    /// It was silent while moves were watched; if it turns out to be alive, M114 waits.
-    silent_looking: bool,
+    /// M410 was sent and no question answered since.
+    quickstop: bool,
     moves_ahead: u32,
-    /// When the newest move was acknowledged.
-    move_taken: i64,
     own_not_before: i64,
     next_poll: i64,
     polling: bool,
@@ -180,15 +191,22 @@ impl MarlinWire {
         self.steps_before = None;
     }
 
-    /// Numbers begin anew: `N0 M110 N0`.
-    fn renumber(&mut self) {
-        self.number = u32::MAX;
-        self.own("M110 N0", Kind::Modal);
+    /// Another chore, without a stop: a poll on its way is waited for, or its answer would be taken for another's.
+    fn turn_to(&mut self, chore: Chore) {
+        let polled = self.flight.filter(|_| self.polling);
+        let since = self.asked_since.filter(|_| polled.is_some());
+        self.begin(chore);
+        (self.flight, self.polling, self.asked_since) = (polled, polled.is_some(), since);
+    }
+
+    /// How long a greeting may take.
+    fn greeting(&self) -> i64 {
+        if self.quickstop && !self.foreign { GREETING.max(self.handshake) } else { self.handshake }
     }
 
     fn say_hello(&mut self, now: i64) {
-        self.begin(Chore::Greet(Greeting::Number, now));
-        self.renumber();
+        self.begin(Chore::Greet(Greeting::Who, now));
+        self.own("M115", Kind::Modal);
     }
 
     /// Puts the line on its way into `out`: `N12 G1 X1*27`.
@@ -217,8 +235,7 @@ impl MarlinWire {
         now: i64,
         out: &mut [u8],
     ) -> usize {
-        // u32::MAX + 1 = 0: the line that renumbers.
-        self.number = self.number.wrapping_add(1);
+        self.number = if self.number < NUMBER_MAX { self.number + 1 } else { 1 };
         let asks = match text.as_bytes() {
             b"M114" => Some(Question::Position),
             b"M115" => Some(Question::Who),
@@ -238,6 +255,8 @@ impl MarlinWire {
             fault: None,
             expires_ns: None,
             replaced: 0,
+            taken: false,
+            ok_seen: false,
         };
         self.flight = Some(flight);
         Self::encode(&flight, out)
@@ -270,7 +289,9 @@ impl MarlinWire {
             }
             return;
         }
-        if let Some(error) = text.strip_prefix("Error:").or_else(|| text.strip_prefix("!!")) {
+        // "Printer stopped due to errors" stands without a sign before it.
+        let stopped = text.starts_with("Printer stopped").then_some(text);
+        if let Some(error) = text.strip_prefix("Error:").or_else(|| text.strip_prefix("!!")).or(stopped) {
             return self.error(error, events);
         }
         if self.chore == Chore::Held && !self.held_sign.is_empty() && text.contains(&*self.held_sign) {
@@ -279,7 +300,7 @@ impl MarlinWire {
         if let Some(echo) = text.strip_prefix("echo:") {
             let unknown = echo.starts_with("Unknown command");
             // "Home XYZ First": the move was left out.
-            let unhomed = echo.starts_with("Home ") && echo.to_ascii_lowercase().ends_with("first");
+            let unhomed = echo.starts_with("Home ") && says(echo, "first");
             if let Some(flight) = self.flight.as_mut().filter(|_| unknown || unhomed) {
                 flight.fault = Some(if unknown { CODE_UNKNOWN_COMMAND } else { CODE_UNNUMBERED });
             }
@@ -288,7 +309,6 @@ impl MarlinWire {
         if text.starts_with("FIRMWARE_NAME:") {
             self.answered = Some(Question::Who);
             self.foreign = !text.contains("Marlin");
-            self.m114_waits |= text.contains("Marlin 1") || text.contains("Marlin V1");
             return;
         }
         if text.starts_with("Reporting endstop") {
@@ -300,7 +320,7 @@ impl MarlinWire {
             self.foreign = true;
         }
         let known =
-            text.starts_with("Cap:") || text.starts_with("//") || text.contains(':') || text == "wait";
+            text.starts_with("//") || text.starts_with("Marlin") || text.contains(':') || text == "wait";
         if !self.note_position(text) && !known {
             events.garbage += text.len() as u32;
         }
@@ -320,15 +340,11 @@ impl MarlinWire {
             let count = text.split_once("Count").map_or("", |(_, count)| count);
             let steps = [('X', 'A'), ('Y', 'B'), ('Z', 'C')]
                 .map(|(axis, motor)| line::word(count, axis).or_else(|| line::word(count, motor)));
-            if let [Some(x), Some(y), Some(z)] = steps {
-                self.countless = 0;
-                self.steps_before = self.steps.replace([x, y, z]);
-            } else {
-                (self.steps, self.steps_before) = (None, None);
-                // Once is a lost byte; a firmware without counts is asked to wait instead.
-                self.countless = self.countless.saturating_add(1);
-                self.m114_waits |= self.countless >= COUNTLESS_MAX;
-            }
+            self.steps_before = self.steps;
+            self.steps = match steps {
+                [Some(x), Some(y), Some(z)] => Some([x, y, z]),
+                _ => None,
+            };
         }
         true
     }
@@ -336,6 +352,8 @@ impl MarlinWire {
     fn banner(&mut self, now: i64, events: &mut Events) {
         self.restarted = true;
         self.dead = false;
+        self.number = 0;
+        self.quickstop = false;
         match self.chore {
             Chore::Closed => {}
             Chore::Banner(_) | Chore::Greet(..) => self.say_hello(now),
@@ -347,13 +365,11 @@ impl MarlinWire {
     }
 
     fn error(&mut self, error: &str, events: &mut Events) {
-        let lower = error.to_ascii_lowercase();
         // These come with a `Resend:`.
-        if ["checksum", "line number", "expected line"].iter().any(|sign| lower.contains(sign)) {
+        if ["checksum", "line number", "expected line"].iter().any(|sign| says(error, sign)) {
             return;
         }
-        let dead = lower.contains("kill") || lower.contains("halted") || lower.contains("stopped");
-        if dead {
+        if ["kill", "halted", "stopped"].iter().any(|sign| says(error, sign)) {
             self.dead = true;
             self.begin(Chore::None);
             return events.push(Event::Alarm { code: 112, position_lost: true });
@@ -365,7 +381,8 @@ impl MarlinWire {
 
     fn resend(&mut self, number: u32, now: i64, events: &mut Events) {
         let Some(flight) = &mut self.flight else { return };
-        if number == flight.number.wrapping_add(1) {
+        let unknown = matches!(self.chore, Chore::Greet(Greeting::Who, _));
+        if number == flight.number + 1 && !unknown {
             // It was taken; only its `ok` was lost, or the answer too: then it is asked again.
             if flight.replaced > 0 {
                 // Asked once, the move has the number. Asked twice, it may also be the first question that has it.
@@ -376,17 +393,39 @@ impl MarlinWire {
             if flight.asks.is_none() || flight.asks == self.answered {
                 return self.done(now, events);
             }
-            let (text, polling) = (flight.text, self.polling);
-            self.flight = None;
-            self.own_line = Some((text, Kind::Modal));
-            self.polling = polling;
+            if flight.ok_seen {
+                return self.ask_anew();
+            }
+            // It may wait behind something that takes its time.
+            (flight.taken, flight.resend) = (true, None);
+            (flight.sent, flight.patience) = (now, ANSWER_WAITING);
             return;
         }
-        if number == flight.number || flight.number == 0 {
+        // Nobody knows which number comes first, nor whether the line was taken that a stop came after.
+        let stopped = matches!(self.chore, Chore::Stop { .. } | Chore::Settle(_) | Chore::Unlock);
+        if number == flight.number
+            || (unknown && number <= NUMBER_MAX)
+            || (stopped && number + 1 == flight.number)
+        {
+            (flight.number, self.number) = (number, number);
             flight.resend.get_or_insert(now + RESEND_PAUSE);
+        } else if number == 1 {
+            // It has forgotten our numbers: restarted, and its banner got lost.
+            self.banner(now, events);
         } else {
-            // It has forgotten our numbers: restarted without a word, or another host is on the line.
+            // Another host is on the line.
             events.push(Event::Silent);
+        }
+    }
+
+    /// The question was taken, its answer is lost.
+    fn ask_anew(&mut self) {
+        let Some(flight) = self.flight.take() else { return };
+        if self.polling && self.chore != Chore::None {
+            // Something else is waiting for it.
+            self.polling = false;
+        } else {
+            self.own_line = Some((flight.text, Kind::Modal));
         }
     }
 
@@ -405,17 +444,18 @@ impl MarlinWire {
 
     /// The line on its way is acknowledged.
     fn done(&mut self, now: i64, events: &mut Events) {
-        let Some(flight) = self.flight.take() else { return };
-        if flight.asks.is_some() && flight.asks != self.answered {
+        let Some(mut flight) = self.flight.take() else { return };
+        if flight.asks.is_some() && !flight.is_answered(self.answered) {
             // The `ok` of something else.
+            flight.ok_seen = true;
             self.flight = Some(flight);
             return;
         }
+        self.quickstop &= flight.asks.is_none();
         if flight.replaced > 0 {
             return events.push(Event::LineExpired);
         }
         if flight.kind.is_some() {
-            self.move_taken = now;
             return events.push(flight.fault.map_or(Event::LineDone, Event::LineFailed));
         }
         if flight.asks == Some(Question::Position)
@@ -436,22 +476,16 @@ impl MarlinWire {
     /// The wire's own next step in its chore.
     fn go_on(&mut self, now: i64, events: &mut Events) {
         match self.chore {
-            Chore::Greet(Greeting::Number, since) => {
-                self.chore = Chore::Greet(Greeting::Who, since);
-                self.own("M115", Kind::Modal);
-            }
-            Chore::Greet(Greeting::Who, since) => {
+            Chore::Greet(Greeting::Who, _) => {
                 if self.foreign {
                     return;
                 }
-                self.chore = Chore::Greet(Greeting::Where, since);
+                self.chore = Chore::Greet(Greeting::Where, now);
                 self.own("M114", Kind::Modal);
             }
             Chore::Greet(Greeting::Where, _) => {
                 self.begin(Chore::None);
                 self.next_poll = now + self.heartbeat;
-                // It was alive all the time: it just did not answer while it moved.
-                self.m114_waits |= core::mem::take(&mut self.silent_looking) && !self.restarted;
                 events.push(Event::Up { restarted: core::mem::take(&mut self.restarted), alarm: None });
             }
             Chore::Sync(Asking::Where)
@@ -460,16 +494,12 @@ impl MarlinWire {
                 let chore = self.chore;
                 self.begin(Chore::None);
                 self.moves_ahead = 0;
-                self.silent_looking = false;
                 self.next_poll = now + self.heartbeat;
                 events.push(match chore {
                     Chore::Stop { .. } => Event::Stopped,
                     Chore::Settle(_) => Event::Settled,
                     _ => Event::Standing(self.position_mm.unwrap_or_default()),
                 });
-            }
-            Chore::Sync(Asking::Look) if !self.rests() => {
-                self.look_again(now);
             }
             Chore::Stop { asking: Asking::Look, looks, .. } if !self.rests() => {
                 if looks >= STOP_LOOKS {
@@ -482,25 +512,16 @@ impl MarlinWire {
                 if let Chore::Stop { looks, .. } = &mut self.chore {
                     *looks += 1;
                 }
-                self.look_again(now);
+                self.own("M114", Kind::Modal);
+                self.own_not_before = now + LOOK_AGAIN;
             }
             Chore::Sync(asking) => self.chore = Chore::Sync(self.next_asking(asking)),
             Chore::Settle(asking) => self.chore = Chore::Settle(self.next_asking(asking)),
             Chore::Stop { sent, since, asking, looks } => {
-                // Before the wait it is seen whether there is anything to wait for.
-                let asking = if asking == Asking::Number && !self.m114_waits {
-                    self.own("M114", Kind::Modal);
-                    Asking::Look
-                } else {
-                    self.next_asking(asking)
-                };
+                let asking = self.next_asking(asking);
                 self.chore = Chore::Stop { sent, since, asking, looks };
             }
-            Chore::Unlock { sent: false } => {
-                self.chore = Chore::Unlock { sent: true };
-                self.own("M999", Kind::Modal);
-            }
-            Chore::Unlock { sent: true } => {
+            Chore::Unlock => {
                 self.begin(Chore::None);
                 events.push(Event::Unlocked);
             }
@@ -513,19 +534,14 @@ impl MarlinWire {
         }
     }
 
-    /// Two looks in a row found the steps alike, or looks tell nothing.
+    /// Two looks in a row found the steps alike, or it counts none.
     fn rests(&self) -> bool {
-        self.m114_waits || (self.steps.is_some() && self.steps == self.steps_before)
-    }
-
-    fn look_again(&mut self, now: i64) {
-        self.own("M114", Kind::Modal);
-        self.own_not_before = now + LOOK_AGAIN;
+        self.steps == self.steps_before
     }
 
     fn next_asking(&mut self, asking: Asking) -> Asking {
         match asking {
-            Asking::Number | Asking::Look => {
+            Asking::Look => {
                 self.own("M400", Kind::Dwell);
                 Asking::Wait
             }
@@ -539,15 +555,28 @@ impl MarlinWire {
     /// An answer has not come.
     fn unanswered(&mut self, now: i64, events: &mut Events) {
         let Some(flight) = &mut self.flight else { return };
+        if flight.is_answered(self.answered) && flight.ok_seen {
+            return self.done(now, events);
+        }
+        if flight.taken {
+            return self.ask_anew();
+        }
         flight.tries += 1;
         if flight.tries <= self.tries_max {
             // The number keeps it from being executed twice.
             flight.resend = Some(now);
+            if flight.patience >= ANSWER_WAITING && flight.kind != Some(Kind::Home) {
+                flight.patience = ANSWER_WAITED;
+            }
             return;
         }
-        self.silent_looking = self.chore == Chore::Sync(Asking::Look);
         events.push(Event::Silent);
     }
+}
+
+/// Whether a text says a word, in capitals or not.
+fn says(text: &str, word: &str) -> bool {
+    text.as_bytes().windows(word.len()).any(|part| part.eq_ignore_ascii_case(word.as_bytes()))
 }
 
 #[cfg(test)]

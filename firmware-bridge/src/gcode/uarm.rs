@@ -12,7 +12,7 @@ mod wire;
 
 use super::engine::Driver;
 use super::line::{self, Assembler, LineBuf};
-use super::wire::{CODE_UNANSWERED, CODE_UNNUMBERED, Event, Events, MS, put};
+use super::wire::{CODE_ELSEWHERE, CODE_UNANSWERED, CODE_UNNUMBERED, Event, Events, MS, put};
 use super::words::Kind;
 
 /// A uArm Swift Pro.
@@ -26,12 +26,17 @@ const AGREE_MM: f64 = 1.0;
 const STOP_AGAIN: i64 = 120 * MS;
 /// Statuses that do not come: a firmware that did not say its version knows no `?`.
 const DEAF_STATUSES: u8 = 3;
-const BANNER: i64 = 3000 * MS;
+/// After a reset the first firmwares 4 say a banner, half a second later when they had to stop; later ones are silent.
+const BANNER: i64 = 1000 * MS;
 const HEARTBEAT_MIN: i64 = 200 * MS;
 const SILENCE_MIN: i64 = 750 * MS;
 /// `Idle` for so long with a line unanswered: its answer is lost.
 const ANSWER_LOST: i64 = 800 * MS;
 const TAG_MAX: u32 = 9999;
+/// While a move is on its way the encoders are read this often. (Firmware 4 answers late while it plans a long G1.)
+const WATCH: i64 = 250 * MS;
+/// The controller says that it moves and the encoders do not: something blocks the arm, or its motors have no power.
+const STALLED: i64 = 2000 * MS;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Chore {
@@ -125,6 +130,13 @@ pub struct UarmWire {
     leave_alarm: bool,
     /// Standing with a line unanswered since then.
     idle_since: Option<i64>,
+    /// Tag of the question for the encoders during a move.
+    watch: Option<u32>,
+    next_watch: i64,
+    /// The last status says that it moves.
+    runs: bool,
+    /// Where the encoders have been, within [`AGREE_MM`], since then.
+    lingers: Option<([f64; 3], i64)>,
     held_sign: Box<str>,
 }
 
@@ -138,6 +150,9 @@ impl UarmWire {
         self.last_pose_mm = None;
         self.last_status_mm = None;
         self.rests = false;
+        self.watch = None;
+        self.runs = false;
+        self.lingers = None;
         self.next_ask = now + self.heartbeat;
     }
 
@@ -163,8 +178,14 @@ impl UarmWire {
         now: i64,
         out: &mut [u8],
     ) -> usize {
-        self.tag = self.tag % TAG_MAX + 1;
+        let len = self.tagged(text, out);
         self.flight = Some(Flight { tag: self.tag, asked, sent: now, patience });
+        len
+    }
+
+    /// Puts `#n text` into `out`, with a tag of its own.
+    fn tagged(&mut self, text: &LineBuf, out: &mut [u8]) -> usize {
+        self.tag = self.tag % TAG_MAX + 1;
         let mut head = LineBuf::new();
         head.byte(b'#');
         head.integer(u64::from(self.tag));
@@ -218,7 +239,9 @@ impl UarmWire {
             }
             return;
         }
-        let known = text.starts_with('@') || text.starts_with('[') || text.eq_ignore_ascii_case("ok");
+        // Later builds of firmware 4 say `ok @9 V0` to a stop byte, and who they are before their banner.
+        let chat = ["@", "[", "ok", "OK", "device name", "soft ver", "api ver", "work mode"];
+        let known = chat.iter().any(|begin| text.starts_with(begin));
         if !known {
             let other = text.starts_with("Grbl") || text.starts_with("echo:") || text.starts_with("error:");
             self.foreign |= other && matches!(self.chore, Chore::Greet(_));
@@ -271,6 +294,13 @@ impl UarmWire {
 
     /// What stands behind `$n`.
     fn answer(&mut self, tag: u32, rest: &str, now: i64, events: &mut Events) {
+        if self.watch == Some(tag) {
+            self.watch = None;
+            if let Some(pose_mm) = pose(rest) {
+                self.moved_to(pose_mm, now, events);
+            }
+            return;
+        }
         let Some(flight) = self.flight.filter(|flight| flight.tag == tag) else { return };
         self.flight = None;
         let (word, value) = rest.split_once(' ').unwrap_or((rest, ""));
@@ -324,8 +354,7 @@ impl UarmWire {
 
     /// A reading of the encoders.
     fn posed(&mut self, ok: bool, value: &str, now: i64, events: &mut Events) {
-        let axes = ['X', 'Y', 'Z'].map(|axis| line::word(value, axis));
-        let [Some(x), Some(y), Some(z)] = axes else {
+        let Some(pose_mm) = pose(value) else {
             // NaN, or a byte lost: look again.
             events.garbage += value.len() as u32;
             if !ok || matches!(self.chore, Chore::Look(_) | Chore::Stop { .. }) {
@@ -333,7 +362,6 @@ impl UarmWire {
             }
             return;
         };
-        let pose_mm = [x, y, z];
         if self.chore == Chore::None {
             return events.push(Event::Resting(pose_mm.map(Some)));
         }
@@ -353,7 +381,8 @@ impl UarmWire {
                 // It moves although nobody here told it to.
                 return self.halt(true, now);
             }
-            return self.own("P2220", Asked::Pose, now + LOOK_AGAIN);
+            self.own("P2220", Asked::Pose, now + LOOK_AGAIN);
+            return self.moved_to(pose_mm, now, events);
         }
         self.begin(Chore::None, now);
         events.push(match what_for {
@@ -362,6 +391,25 @@ impl UarmWire {
             LookFor::Settled { unlock: false } => Event::Settled,
             LookFor::Settled { unlock: true } => Event::Unlocked,
         });
+    }
+
+    /// The encoders' reading while it is to move: an arm that does not get on although its controller counts steps is
+    /// blocked, and must not be sent on from where nobody knows.
+    fn moved_to(&mut self, pose_mm: [f64; 3], now: i64, events: &mut Events) {
+        let gets_on = self.lingers.is_none_or(|(at, _)| far(at, pose_mm) > AGREE_MM);
+        if gets_on || !self.runs {
+            self.lingers = Some((pose_mm, now));
+        } else if self.lingers.is_some_and(|(_, since)| now - since >= STALLED) {
+            self.lingers = None;
+            self.flight = None;
+            events.push(Event::LineFailed(CODE_ELSEWHERE));
+        }
+    }
+
+    /// A move is on its way, of a firmware that answers questions meanwhile.
+    fn moves(&self) -> bool {
+        let line = self.flight.is_some_and(|flight| flight.asked == Asked::Line(Kind::Motion));
+        line && self.realtime && self.chore == Chore::None
     }
 
     fn halt(&mut self, greeting: bool, now: i64) {
@@ -397,6 +445,7 @@ impl UarmWire {
             return self.halt(true, now);
         }
         self.rests = matches!(state, "Idle" | "Alarm");
+        self.runs = state == "Run";
         let at_mm = rest.strip_prefix("MPos:").and_then(line::triple);
         let before = core::mem::replace(&mut self.last_status_mm, at_mm);
         let still = match (before, at_mm) {
@@ -437,6 +486,14 @@ impl UarmWire {
                 self.chore,
                 Chore::Banner(_) | Chore::Greet(_) | Chore::Settle { reset: Some(_), .. }
             )
+    }
+}
+
+/// Where the encoders say that it is.
+fn pose(answer: &str) -> Option<[f64; 3]> {
+    match ['X', 'Y', 'Z'].map(|axis| line::word(answer, axis)) {
+        [Some(x), Some(y), Some(z)] => Some([x, y, z]),
+        _ => None,
     }
 }
 

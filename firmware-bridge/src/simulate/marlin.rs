@@ -4,7 +4,9 @@
 //! asks for the right one; lines without a number are taken as they come. A queue of 4 commands, a planner of 16
 //! moves; `ok` means done for commands and planned for moves. Commands that wait say `echo:busy: processing` every
 //! two seconds. M112, M410 act when they are read, before the queue, if they have no number; reading goes on while
-//! a command waits, as long as the queue has room.
+//! a command waits, as long as the queue has room. For a second after M410 nothing is worked on and no move planned;
+//! a build without `EMERGENCY_PARSER` does the same once more when M410 comes out of its queue. What M114 says,
+//! `Count` included, is where the last planned move ends. A servo keeps the firmware from reading for 300 ms.
 
 use super::motion::Mechanics;
 use super::noise::Noise;
@@ -24,6 +26,10 @@ const BUSY_NS: i64 = 2000 * MS;
 const FIRST_MOVE_NS: i64 = 100 * MS;
 const MOVES_WITHOUT_DELAY: usize = 3;
 const HOMING_NS: i64 = 4000 * MS;
+/// `cleaning_buffer_counter`: after a quick stop.
+const CLEANING_NS: i64 = 1000 * MS;
+/// `SERVO_DELAY`.
+const SERVO_NS: i64 = 300 * MS;
 const BANNER: &str = "start\r\necho:Marlin 2.1.2.5\r\n\r\necho: Last Updated: 2024-12-01 | Author: (none, default config)\r\n\
                       echo: Free Memory: 5000  PlannerBufferBytes: 1200\r\n";
 
@@ -42,6 +48,8 @@ enum Busy {
     Sync(i64),
     Until(i64),
     Homing(i64),
+    /// M280, deaf.
+    Servo(i64),
     Free,
     /// `kill()`: nothing but the button helps.
     Dead,
@@ -57,6 +65,10 @@ pub struct MarlinFirmware {
     busy_said_ns: i64,
     /// `ADVANCED_OK`: `ok N3 P15 B3`.
     advanced_ok: bool,
+    /// `EMERGENCY_PARSER`: M410 acts once.
+    emergency_parser: bool,
+    /// The planner is being cleaned.
+    cleaning_until_ns: i64,
     rx: VecDeque<u8>,
     line: Vec<u8>,
     comment: bool,
@@ -84,6 +96,8 @@ impl MarlinFirmware {
             busy: Busy::Off,
             busy_said_ns: 0,
             advanced_ok: false,
+            emergency_parser: false,
+            cleaning_until_ns: i64::MIN,
             rx: VecDeque::with_capacity(RX_LEN),
             line: Vec::with_capacity(COMMAND_LEN),
             comment: false,
@@ -98,9 +112,9 @@ impl MarlinFirmware {
         }
     }
 
-    /// The same built with `ADVANCED_OK`.
+    /// The same built with `ADVANCED_OK` and `EMERGENCY_PARSER`.
     pub fn with_advanced_ok(park_mm: [f64; 3], faults: Faults) -> Self {
-        Self { advanced_ok: true, ..Self::new(park_mm, faults) }
+        Self { advanced_ok: true, emergency_parser: true, ..Self::new(park_mm, faults) }
     }
 
     /// Bytes that arrive.
@@ -130,11 +144,15 @@ impl MarlinFirmware {
     /// When something happens by itself.
     pub fn next_deadline_ns(&self) -> Option<i64> {
         let busy = match self.busy {
-            Busy::Boot(at) | Busy::Command(at) | Busy::Until(at) | Busy::Homing(at) => Some(at),
+            Busy::Boot(at) | Busy::Command(at) | Busy::Until(at) | Busy::Homing(at) | Busy::Servo(at) => {
+                Some(at)
+            }
             Busy::Off => Some(i64::MIN),
             Busy::PlannerFull { .. } | Busy::Sync(_) => Some(self.busy_said_ns + BUSY_NS),
             _ => None,
         };
+        let cleans = self.cleaning_until_ns > i64::MIN;
+        let busy = if cleans { Some(self.cleaning_until_ns) } else { busy };
         [busy, self.arm.next_ns(), self.noise.restart_ns(), self.first_move_ns].into_iter().flatten().min()
     }
 
@@ -152,6 +170,7 @@ impl MarlinFirmware {
         self.relative = false;
         self.noise.forget_restart();
         self.first_move_ns = None;
+        self.cleaning_until_ns = i64::MIN;
         self.busy = Busy::Boot(now_ns + BOOT_NS);
     }
 
@@ -188,9 +207,13 @@ impl MarlinFirmware {
     }
 
     fn step(&mut self, now_ns: i64) -> bool {
-        if !matches!(self.busy, Busy::Off | Busy::Boot(_) | Busy::Dead | Busy::Homing(_)) {
+        if !matches!(self.busy, Busy::Off | Busy::Boot(_) | Busy::Dead | Busy::Homing(_) | Busy::Servo(_)) {
             self.read(now_ns);
         }
+        if now_ns < self.cleaning_until_ns && self.busy != Busy::Dead {
+            return false;
+        }
+        self.cleaning_until_ns = i64::MIN;
         let waits =
             matches!(self.busy, Busy::PlannerFull { .. } | Busy::Sync(_) | Busy::Until(_) | Busy::Homing(_));
         if waits && now_ns - self.busy_said_ns >= BUSY_NS {
@@ -212,7 +235,7 @@ impl MarlinFirmware {
                 self.finish(now_ns);
             }
             Busy::Sync(dwell_ns) if self.arm.blocks() == 0 => self.busy = Busy::Until(now_ns + dwell_ns),
-            Busy::Until(at) if now_ns >= at => self.finish(now_ns),
+            Busy::Until(at) | Busy::Servo(at) if now_ns >= at => self.finish(now_ns),
             Busy::Homing(at) if now_ns >= at => {
                 self.arm.put(self.park_mm);
                 self.finish(now_ns);
@@ -275,16 +298,21 @@ impl MarlinFirmware {
                 return;
             }
             _ if line.starts_with("M410") => {
-                self.arm.kill(now_ns);
-                self.first_move_ns = None;
+                self.quick_stop(now_ns);
                 // A move that waited for room is not planned any more.
                 if let Busy::PlannerFull { .. } = self.busy {
-                    self.finish(now_ns);
+                    self.busy = Busy::Until(self.cleaning_until_ns);
                 }
             }
             _ => {}
         }
         self.queue.push_back(line);
+    }
+
+    fn quick_stop(&mut self, now_ns: i64) {
+        self.arm.kill(now_ns);
+        self.first_move_ns = None;
+        self.cleaning_until_ns = now_ns + CLEANING_NS;
     }
 
     fn refuse_line(&mut self, why: &str) {
@@ -337,24 +365,35 @@ impl MarlinFirmware {
                 return;
             }
             ('G', 90 | 91) => self.relative = code == 91,
-            ('G', 21 | 94 | 17) | ('M', 110 | 410 | 17 | 18 | 82 | 84 | 999) => {}
+            ('M', 410) if !self.emergency_parser => {
+                self.quick_stop(now_ns);
+                self.busy = Busy::Until(self.cleaning_until_ns);
+                return;
+            }
+            // Worked on, it sets the number once more.
+            ('M', 110) => self.last_number = word('N').map_or(self.last_number, |number| number as i64),
+            ('G', 21 | 94 | 17) | ('M', 410 | 17 | 18 | 82 | 84 | 999) => {}
             ('M', 106) => self.grip(word('S').unwrap_or(255.0) > 0.0),
             ('M', 107) => self.grip(false),
-            ('M', 280) => self.grip(word('S').unwrap_or(0.0) > 45.0),
+            ('M', 280) => {
+                self.grip(word('S').unwrap_or(0.0) > 45.0);
+                self.busy = Busy::Servo(now_ns + SERVO_NS);
+                return;
+            }
             ('M', 400) => {
                 self.busy = Busy::Sync(0);
                 return;
             }
             ('M', 114) => {
-                let (to, at) = (self.arm.destination(), self.arm.position(now_ns));
+                let to = self.arm.destination();
                 self.say(&format!(
                     "X:{:.2} Y:{:.2} Z:{:.2} E:0.00 Count X:{:.0} Y:{:.0} Z:{:.0}\r\n",
                     to[0],
                     to[1],
                     to[2],
-                    at[0] * 80.0,
-                    at[1] * 80.0,
-                    at[2] * 400.0
+                    to[0] * 80.0,
+                    to[1] * 80.0,
+                    to[2] * 400.0
                 ));
             }
             ('M', 115) => self.say(

@@ -2,6 +2,8 @@
 
 use super::super::line;
 
+const MM_PER_INCH: f64 = 25.4;
+
 /// The state in a status report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum State {
@@ -60,9 +62,9 @@ impl Status {
         let mut status = Self { state, machine_mm: None, work_mm: None, offset_mm: None };
         for field in fields {
             match field.split_once(':') {
-                Some(("MPos", at)) => status.machine_mm = line::triple(at),
-                Some(("WPos", at)) => status.work_mm = line::triple(at),
-                Some(("WCO", at)) => status.offset_mm = line::triple(at),
+                Some(("MPos", at)) => status.machine_mm = point_mm(at),
+                Some(("WPos", at)) => status.work_mm = point_mm(at),
+                Some(("WCO", at)) => status.offset_mm = point_mm(at),
                 _ => {}
             }
         }
@@ -77,4 +79,14 @@ impl Status {
             _ => [None; 3],
         }
     }
+}
+
+/// Three coordinates as Grbl writes them: millimetres with three decimals or, with `$13=1`, inches with four
+/// (`N_DECIMAL_COORDVALUE_MM` and `_INCH` in config.h).
+fn point_mm(text: &str) -> Option<[f64; 3]> {
+    let point = line::triple(text)?;
+    let four_decimals =
+        |number: &str| number.split_once('.').is_some_and(|(_, decimals)| decimals.len() == 4);
+    let in_inches = text.split(',').take(3).all(four_decimals);
+    Some(if in_inches { point.map(|value| value * MM_PER_INCH) } else { point })
 }

@@ -311,3 +311,37 @@ fn relatives_of_grbl_are_understood() {
         assert_eq!(desk.told(), [Report::Connected { session: 7, held_by: HeldBy::Start }], "{banner}");
     }
 }
+
+#[test]
+fn what_a_button_at_the_machine_lets_go_on_after_a_hold_is_held_again() {
+    let mut desk = Desk::new("");
+    desk.make_ready();
+    let pick = desk.pick();
+    desk.grbl.command(Command::Pick(pick), desk.now_ns).unwrap();
+    desk.wait(2);
+    desk.grbl.command(Command::Hold, desk.now_ns).unwrap();
+    desk.status("Hold:0|MPos:5.000,10.000,40.000|FS:0,0");
+    let failed = Report::Failed { id: 7, failure: Failure::Held };
+    assert!(desk.told().ends_with(&[failed, Report::Held { by: HeldBy::Command }]));
+    // The cycle start button: Grbl goes on with the lines that it still has.
+    assert!(desk.status("Run|MPos:6.000,12.000,39.000|FS:900,0").starts_with("|!"));
+    assert_eq!(desk.status("Hold:0|MPos:7.000,13.000,38.000|FS:0,0"), "");
+    assert_eq!(desk.told(), []);
+    // A release throws them away.
+    desk.grbl.command(Command::Release, desk.now_ns).unwrap();
+    assert!(desk.wait(200).ends_with("|\\x18"));
+}
+
+#[test]
+fn positions_in_inches_are_read_as_what_they_are() {
+    let inches = "Run|WPos:1.0000,-2.0000,0.5000|FS:35.4,0|Ov:100,100,100|A:SF";
+    let expected = [25.4, -50.8, 12.7];
+    let near = |at: [Option<f64>; 3]| at.iter().zip(expected).all(|(a, b)| (a.unwrap() - b).abs() < 1e-9);
+    assert!(near(Status::parse(inches).unwrap().position_mm(None)));
+    let inches = "Idle|MPos:2.0000,0.0000,0.0000|Bf:15,128|FS:0,0|Pn:XYZ|WCO:1.0000,2.0000,-0.5000";
+    let status = Status::parse(inches).unwrap();
+    assert!(near(status.position_mm(status.offset_mm)));
+    // One number with a digit doubled on the wire makes no inches.
+    let mm = Status::parse("Idle|WPos:1.0000,-2.000,0.500").unwrap();
+    assert_eq!(mm.position_mm(None), [Some(1.0), Some(-2.0), Some(0.5)]);
+}

@@ -60,8 +60,7 @@ impl Desk {
 
     fn connect(&mut self) {
         assert_eq!(self.wait(2), "|\\nM410\\n");
-        assert_eq!(self.hear("start\r\necho:Marlin 2.1.2\r\n"), "N0 M110 N0\\n");
-        assert_eq!(self.hear("ok\r\n"), "N1 M115\\n");
+        assert_eq!(self.hear("start\r\necho:Marlin 2.1.2\r\n"), "N1 M115\\n");
         // An `ok` too many is not the answer.
         assert_eq!(self.hear("ok\r\n"), "");
         assert_eq!(
@@ -76,13 +75,12 @@ impl Desk {
     fn make_ready(&mut self) {
         self.connect();
         self.marlin.command(Command::Release, self.now_ns).unwrap();
-        assert_eq!(self.wait(2), "N0 M110 N0\\n");
-        assert_eq!(self.hear("ok\r\n"), "N1 M400\\n");
-        assert_eq!(self.hear("ok\r\n"), "N2 M114\\n");
-        assert_eq!(self.hear(&at(0.0)), "N3 G90\\n");
-        assert_eq!(self.hear("ok\r\n"), "N4 G21\\n");
+        assert_eq!(self.wait(2), "N3 M400\\n");
+        assert_eq!(self.hear("ok\r\n"), "N4 M114\\n");
+        assert_eq!(self.hear(&at(0.0)), "N5 G90\\n");
+        assert_eq!(self.hear("ok\r\n"), "N6 G21\\n");
         // A build without inches does not know G21.
-        assert_eq!(self.hear("echo:Unknown command: \"G21\"\r\nok\r\n"), "N5 M107\\n");
+        assert_eq!(self.hear("echo:Unknown command: \"G21\"\r\nok\r\n"), "N7 M107\\n");
         self.hear("ok\r\n");
         assert_eq!(self.told(), [Report::Ready { clear_of_view: false }]);
     }
@@ -119,24 +117,109 @@ fn at(mm: f64) -> String {
 fn moves_are_numbered_one_by_one_and_stand_before_the_gripper() {
     let mut desk = Desk::new();
     desk.make_ready();
-    assert_eq!(desk.pick(), "N6 G0 X10.000 Y20.000 Z65.000 F6000\\n");
+    assert_eq!(desk.pick(), "N8 G0 X10.000 Y20.000 Z65.000 F6000\\n");
     assert_eq!(desk.wait(100), "");
-    assert_eq!(desk.hear("ok N6 P14 B3\r\n"), "N7 G0 Z45.000 F6000\\n");
+    assert_eq!(desk.hear("ok N8 P14 B3\r\n"), "N9 G0 Z45.000 F6000\\n");
     // The acknowledgement of another line.
-    assert_eq!(desk.hear("ok N6 P14 B3\r\n"), "");
-    assert_eq!(desk.hear("ok\r\n"), "N8 G1 X10.000 Y20.000 Z5.000 F1500\\n");
-    // A first move waits 100 ms for others: rest would prove nothing yet.
+    assert_eq!(desk.hear("ok N8 P14 B3\r\n"), "");
+    assert_eq!(desk.hear("ok\r\n"), "N10 G1 X10.000 Y20.000 Z5.000 F1500\\n");
+    // M400 waits for as long as the moves take.
+    assert_eq!(desk.hear("ok\r\n"), "N11 M400\\n");
+    for _ in 0..5 {
+        assert_eq!(desk.wait(2000), "");
+        assert_eq!(desk.hear("echo:busy: processing\r\n"), "");
+    }
+    assert_eq!(desk.hear("ok\r\n"), "N12 M114\\n");
+    assert_eq!(desk.hear("X:10.00 Y:20.00 Z:5.00 E:0.00 Count X:1 Y:2 Z:3\r\nok\r\n"), "N13 M106 S255\\n");
+}
+
+#[test]
+fn an_ok_too_many_closes_no_gripper_before_the_moves_are_done() {
+    let mut desk = Desk::new();
+    desk.make_ready();
+    desk.pick();
+    desk.hear("ok\r\n");
+    desk.hear("ok\r\n");
+    // Two come for the last move; the second is taken for that of M400, and M114 is sent while the arm moves.
+    assert_eq!(desk.hear("ok\r\nok\r\n"), "N11 M400\\n");
+    assert_eq!(desk.hear("ok\r\n"), "N12 M114\\n");
+    // It waits behind the M400. Sent again it is known to have been taken, and left alone.
+    let mut sent = desk.wait(260);
+    assert_eq!(sent, "N12 M114\\n");
+    let taken = "Error:Line Number is not Last Line Number+1, Last Line: 12\r\nResend: 13\r\nok\r\n";
+    sent = desk.hear(taken);
+    for _ in 0..4 {
+        sent += &desk.wait(1900);
+        sent += &desk.hear("echo:busy: processing\r\n");
+    }
+    assert_eq!(sent, "");
+    // The `ok` of M400, then the answer.
     assert_eq!(desk.hear("ok\r\n"), "");
-    assert_eq!(desk.wait(110), "");
-    assert_eq!(desk.wait(20), "N9 M114\\n");
-    // While the steps change it is asked again; when they rest M400 and M114 confirm it.
-    desk.hear(&at(1.0));
-    assert_eq!(desk.wait(60), "N10 M114\\n");
-    desk.hear(&at(2.0));
-    assert_eq!(desk.wait(60), "N11 M114\\n");
-    assert_eq!(desk.hear(&at(2.0)), "N12 M400\\n");
-    assert_eq!(desk.hear("ok\r\n"), "N13 M114\\n");
-    assert_eq!(desk.hear("X:10.00 Y:20.00 Z:5.00 E:0.00 Count X:1 Y:2 Z:3\r\nok\r\n"), "N14 M106 S255\\n");
+    assert_eq!(desk.hear("X:10.00 Y:20.00 Z:5.00 E:0.00 Count X:1 Y:2 Z:3\r\nok\r\n"), "N13 M106 S255\\n");
+    // A servo's delay is no silence.
+    assert_eq!(desk.wait(900), "");
+}
+
+#[test]
+fn an_answer_that_is_lost_is_asked_for_anew() {
+    let mut desk = Desk::new();
+    desk.make_ready();
+    let polled = desk.wait(10_000);
+    assert_eq!(polled, "N8 M114\\n");
+    // Its line came damaged, its `ok` whole.
+    desk.hear("X:1\u{e4}.00 Y:0.00 Z:0.00 E:0.00 Count X:0 Y:0 Z:0\r\nok\r\n");
+    assert_eq!(desk.wait(250), polled);
+    let taken = "Error:Line Number is not Last Line Number+1, Last Line: 8\r\nResend: 9\r\nok\r\n";
+    assert_eq!(desk.hear(taken), "N9 M114\\n");
+    // Both are lost: a link that complains is alive, and five seconds later it is asked anew as well.
+    assert_eq!(desk.wait(260), "N9 M114\\n");
+    desk.hear("Error:Line Number is not Last Line Number+1, Last Line: 9\r\nResend: 10\r\n");
+    assert_eq!(desk.wait(4900), "");
+    assert_eq!(desk.wait(200), "N10 M114\\n");
+    desk.hear(&at(0.0));
+    assert!(!desk.told().iter().any(|report| matches!(report, Report::Disconnected { .. })));
+}
+
+#[test]
+fn a_quick_stop_takes_seconds_and_leaves_open_whether_the_last_line_was_taken() {
+    for taken in [true, false] {
+        let mut desk = Desk::new();
+        desk.make_ready();
+        desk.pick();
+        assert!(desk.hear("ok\r\n").starts_with("N9 G0"));
+        desk.marlin.command(Command::Hold, desk.now_ns).unwrap();
+        assert_eq!(desk.wait(300), "|\\nM410\\n|M410\\n|M410\\nN10 M114\\n");
+        // Nothing is heard while the planner is being cleaned, then the `ok`s of N9 and of the M410s.
+        assert_eq!(desk.wait(2000), "");
+        if taken {
+            assert_eq!(desk.hear("ok\r\nok\r\nok\r\nok\r\n"), "");
+        } else {
+            let refused = "Error:Line Number is not Last Line Number+1, Last Line: 8\r\nResend: 9\r\nok\r\n";
+            assert_eq!(desk.hear(refused), "");
+            assert_eq!(desk.wait(30), "N9 M114\\n");
+        }
+        desk.hear(&at(3.0));
+        let sent = desk.wait(60);
+        let next = if taken { 11 } else { 10 };
+        assert_eq!(sent, format!("N{next} M114\\n"));
+        assert_eq!(desk.hear(&at(3.0)), format!("N{} M400\\n", next + 1));
+        assert_eq!(desk.hear("ok\r\n"), format!("N{} M114\\n", next + 2));
+        desk.hear(&at(3.0));
+        let failed = Report::Failed { id: 7, failure: Failure::Held };
+        assert!(desk.told().ends_with(&[failed, Report::Held { by: HeldBy::Command }]));
+    }
+}
+
+#[test]
+fn a_controller_that_has_counted_for_another_host_says_which_number_comes() {
+    let mut desk = Desk::new();
+    assert_eq!(desk.wait(102), "|\\nM410\\n|\\nM410\\nN1 M115\\n");
+    let refused = "Error:Line Number is not Last Line Number+1, Last Line: 5733\r\nResend: 5734\r\nok\r\n";
+    desk.hear(&format!("ok\r\n{refused}"));
+    assert_eq!(desk.wait(30), "N5734 M115\\n");
+    assert_eq!(desk.hear("FIRMWARE_NAME:Marlin 2.1.2\r\nok\r\n"), "N5735 M114\\n");
+    desk.hear(&at(0.0));
+    assert_eq!(desk.told(), [Report::Connected { session: 7, held_by: HeldBy::Start }]);
 }
 
 #[test]
@@ -144,14 +227,14 @@ fn a_line_is_sent_again_when_it_is_asked_for_and_never_when_it_was_taken() {
     let mut desk = Desk::new();
     desk.make_ready();
     let line = desk.pick();
-    let refused = "Error:checksum mismatch, Last Line: 5\r\nResend: 6\r\nok\r\n";
+    let refused = "Error:checksum mismatch, Last Line: 7\r\nResend: 8\r\nok\r\n";
     assert_eq!(desk.hear(refused), "");
     assert_eq!(desk.wait(30), line);
     // No answer: the number makes it safe to send it again.
     assert_eq!(desk.wait(300), line);
     // It had been taken: only the acknowledgement was lost.
-    let taken = "Error:Line Number is not Last Line Number+1, Last Line: 6\r\nResend: 7\r\nok\r\n";
-    assert!(desk.hear(taken).starts_with("N7 G0 Z45.000"));
+    let taken = "Error:Line Number is not Last Line Number+1, Last Line: 8\r\nResend: 9\r\nok\r\n";
+    assert!(desk.hear(taken).starts_with("N9 G0 Z45.000"));
 }
 
 #[test]
@@ -161,9 +244,9 @@ fn a_first_move_that_got_lost_is_not_sent_again_when_it_is_stale() {
     desk.make_ready();
     desk.pick();
     desk.wait(240);
-    desk.hear("Error:checksum mismatch, Last Line: 5\r\nResend: 6\r\nok\r\n");
+    desk.hear("Error:checksum mismatch, Last Line: 7\r\nResend: 8\r\nok\r\n");
     desk.now_ns += 400 * MS;
-    assert_eq!(desk.wait(2), "N6 M114\\n");
+    assert_eq!(desk.wait(2), "N8 M114\\n");
     desk.hear(&at(0.0));
     let told = desk.told();
     assert!(matches!(told[0], Report::Refused { id: 7, refusal: Refusal::Stale { .. } }), "{told:?}");
@@ -172,18 +255,18 @@ fn a_first_move_that_got_lost_is_not_sent_again_when_it_is_stale() {
     desk.make_ready();
     desk.pick();
     desk.now_ns += 600 * MS;
-    assert_eq!(desk.wait(2), "N6 M114\\n");
-    assert_eq!(desk.wait(250), "N6 M114\\n");
-    let sent = desk.hear("Error:Line Number is not Last Line Number+1, Last Line: 6\r\nResend: 7\r\nok\r\n");
+    assert_eq!(desk.wait(2), "N8 M114\\n");
+    assert_eq!(desk.wait(250), "N8 M114\\n");
+    let sent = desk.hear("Error:Line Number is not Last Line Number+1, Last Line: 8\r\nResend: 9\r\nok\r\n");
     assert_eq!(sent, "|\\nM410\\n");
     // It had taken it, and only its answer was lost: then it is under way.
     let mut desk = Desk::new();
     desk.make_ready();
     desk.pick();
     desk.now_ns += 600 * MS;
-    assert_eq!(desk.wait(2), "N6 M114\\n");
-    let sent = desk.hear("Error:Line Number is not Last Line Number+1, Last Line: 6\r\nResend: 7\r\nok\r\n");
-    assert_eq!(sent, "N7 G0 Z45.000 F6000\\n");
+    assert_eq!(desk.wait(2), "N8 M114\\n");
+    let sent = desk.hear("Error:Line Number is not Last Line Number+1, Last Line: 8\r\nResend: 9\r\nok\r\n");
+    assert_eq!(sent, "N9 G0 Z45.000 F6000\\n");
 }
 
 #[test]
@@ -197,7 +280,7 @@ fn silence_loses_the_pick_and_busy_does_not() {
     }
     assert!(desk.told().iter().all(|report| !matches!(report, Report::Disconnected { .. })));
     let sent = desk.wait(1000);
-    assert!(sent.contains("|\\nM410\\n") && sent.ends_with("N0 M110 N0\\n"), "{sent}");
+    assert!(sent.contains("|\\nM410\\n") && sent.ends_with("N9 M115\\n"), "{sent}");
     assert_eq!(desk.told(), [Report::Lost { id: 7 }, Report::Disconnected { cause: Disconnect::Silent }]);
 }
 
@@ -212,12 +295,11 @@ fn what_marlin_does_not_do_fails_the_pick() {
         desk.make_ready();
         desk.pick();
         assert_eq!(desk.hear(complaint), "|\\nM410\\n");
-        let sent = desk.wait(400);
-        assert!(sent.starts_with("|M410\\n|M410\\n|M410\\nN0 M110 N0\\n"), "{sent}");
+        assert_eq!(desk.wait(400), "|M410\\n|M410\\nN9 M114\\n");
         desk.hear("ok\r\n");
         desk.hear(&at(3.0));
         desk.wait(60);
-        assert_eq!(desk.hear(&at(3.0)), "N3 M400\\n");
+        assert_eq!(desk.hear(&at(3.0)), "N11 M400\\n");
         desk.hear("ok\r\n");
         desk.hear(&at(3.0));
         let failed = Report::Failed { id: 7, failure: Failure::Controller { code } };
@@ -247,7 +329,7 @@ fn an_arm_that_moves_on_in_spite_of_m410_is_killed() {
     );
     // Only its button helps; then it says its banner.
     assert_eq!(desk.wait(5000), "");
-    assert_eq!(desk.hear("start\r\n"), "N0 M110 N0\\n");
+    assert_eq!(desk.hear("start\r\n"), "N1 M115\\n");
 }
 
 #[test]
@@ -255,19 +337,22 @@ fn a_restart_is_noticed_by_its_banner_or_by_its_numbers() {
     let mut desk = Desk::new();
     desk.make_ready();
     desk.pick();
-    assert_eq!(desk.hear("start\r\n"), "N0 M110 N0\\n");
-    assert_eq!(
-        desk.told()[..],
-        [
-            Report::PositionUnknown,
-            Report::Lost { id: 7 },
-            Report::Disconnected { cause: Disconnect::Restarted }
-        ]
-    );
+    assert_eq!(desk.hear("start\r\n"), "N1 M115\\n");
+    let restarted = [
+        Report::PositionUnknown,
+        Report::Lost { id: 7 },
+        Report::Disconnected { cause: Disconnect::Restarted },
+    ];
+    assert_eq!(desk.told(), restarted);
     let mut desk = Desk::new();
     desk.make_ready();
     desk.pick();
     desk.hear("Error:Line Number is not Last Line Number+1, Last Line: 0\r\nResend: 1\r\n");
+    assert_eq!(desk.told(), restarted);
+    let mut desk = Desk::new();
+    desk.make_ready();
+    desk.pick();
+    desk.hear("Error:Line Number is not Last Line Number+1, Last Line: 41\r\nResend: 42\r\n");
     assert_eq!(desk.told(), [Report::Lost { id: 7 }, Report::Disconnected { cause: Disconnect::Silent }]);
 }
 
@@ -277,14 +362,12 @@ fn the_delay_of_the_line_is_known_before_the_first_pick_and_taken_off_its_time_t
     let mut desk = Desk::new();
     desk.wait(2);
     desk.hear("start\r\n");
-    desk.hear("ok\r\n");
     desk.hear("FIRMWARE_NAME:Marlin 2.1.2\r\nok\r\n");
     desk.wait(76);
     desk.hear(&at(0.0));
     desk.told();
     desk.marlin.command(Command::Release, desk.now_ns).unwrap();
     desk.wait(2);
-    desk.hear("ok\r\n");
     desk.hear("ok\r\n");
     desk.wait(76);
     desk.hear(&at(0.0));
@@ -293,60 +376,36 @@ fn the_delay_of_the_line_is_known_before_the_first_pick_and_taken_off_its_time_t
     }
     assert_eq!(desk.told(), [Report::Ready { clear_of_view: false }]);
     let line = desk.pick();
-    assert!(line.starts_with("N6 G0 X10.000"), "{line}");
+    assert!(line.starts_with("N8 G0 X10.000"), "{line}");
     // Damaged on its way; asked for again before that moment and after it.
-    let refused = "Error:checksum mismatch, Last Line: 5\r\nResend: 6\r\nok\r\n";
+    let refused = "Error:checksum mismatch, Last Line: 7\r\nResend: 8\r\nok\r\n";
     desk.hear(refused);
     desk.now_ns += 220 * MS;
     assert_eq!(desk.wait(26), line);
     desk.hear(refused);
     desk.now_ns += 100 * MS;
-    assert_eq!(desk.wait(26), "N6 M114\\n");
+    assert_eq!(desk.wait(26), "N8 M114\\n");
 }
 
 #[test]
-fn an_arm_that_counts_its_motors_angles_is_seen_to_move() {
-    let arm = |steps: f64| {
-        format!(
-            "X:0.00 Y:300.00 Z:0.00 E:0.00 Count A:{steps} B:1 C:2\r\nDEXARM Theta A:0.00  Theta B:0.00\r\nok\r\n"
-        )
-    };
-    let mut desk = Desk::new();
-    desk.make_ready();
-    desk.pick();
-    desk.hear("ok\r\n");
-    desk.hear("ok\r\n");
-    desk.hear("ok\r\n");
-    assert_eq!(desk.wait(130), "N9 M114\\n");
-    desk.hear(&arm(10.0));
-    assert_eq!(desk.wait(60), "N10 M114\\n");
-    desk.hear(&arm(20.0));
-    assert_eq!(desk.wait(60), "N11 M114\\n");
-    assert_eq!(desk.hear(&arm(20.0)), "N12 M400\\n");
-}
-
-#[test]
-fn a_firmware_without_step_counts_is_asked_to_wait_for_its_moves() {
-    let mut desk = Desk::new();
-    desk.wait(2);
-    desk.hear("start\r\n");
-    desk.hear("ok\r\n");
-    desk.hear("FIRMWARE_NAME:Marlin bugfix-2.1.x\r\nok\r\n");
-    let plain = "X:0.00 Y:0.00 Z:0.00 E:0.00\r\nok\r\n";
-    desk.hear(plain);
-    desk.marlin.command(Command::Release, desk.now_ns).unwrap();
-    desk.wait(2);
-    for reply in ["ok\r\n", "ok\r\n", plain, "ok\r\n", "ok\r\n", "ok\r\n"] {
-        desk.hear(reply);
+fn positions_of_all_builds_are_read_and_prove_nothing_while_it_moves() {
+    for at in [
+        // An arm that counts the angles of its motors; a build that counts nothing; one from before 2.0.
+        "X:10.00 Y:20.00 Z:5.00 E:0.00 Count A:100 B:1 C:2\r\nDEXARM Theta A:0.00  Theta B:0.00\r\nok\r\n",
+        "X:10.00 Y:20.00 Z:5.00 E:0.00\r\nok\r\n",
+        "X: 10.00 Y: 20.00 Z: 5.00 E: 0.00 Count X: 800 Y:1600 Z:2000\r\nok\r\n",
+    ] {
+        let mut desk = Desk::new();
+        desk.make_ready();
+        desk.pick();
+        desk.hear("ok\r\n");
+        desk.hear("ok\r\n");
+        assert_eq!(desk.hear("ok\r\n"), "N11 M400\\n");
+        // Somebody else's answer.
+        assert_eq!(desk.hear(at), "N12 M114\\n", "{at}");
+        assert_eq!(desk.wait(200), "");
+        assert_eq!(desk.hear(at), "N13 M106 S255\\n", "{at}");
     }
-    desk.pick();
-    desk.hear("ok\r\n");
-    desk.hear("ok\r\n");
-    desk.hear("ok\r\n");
-    assert_eq!(desk.wait(130), "N9 M114\\n");
-    assert_eq!(desk.hear(plain), "N10 M400\\n");
-    // It waits in silence for longer than a question would.
-    assert_eq!(desk.wait(3000), "");
 }
 
 #[test]
@@ -361,11 +420,57 @@ fn what_else_a_printer_says_does_no_harm() {
         "echo:SD init fail\r\n",
         "echo:DEBUG:INFO\r\n",
         "Not SD printing\r\n",
+        "echo: External Reset\r\nMarlin 2.1.2.5\r\n",
+        "echo:enqueueing \"M117 hello\"\r\n",
+        "FR:100%\r\n",
     ] {
         assert_eq!(desk.hear(chatter), "", "{chatter}");
     }
-    assert!(desk.hear("ok T:21.3 /0.0 B:20.1 /0.0 @:0 B@:0\r\n").starts_with("N7 G0 Z45.000"));
-    assert!(desk.hear("ok P15 B3\r\n").starts_with("N8 G1 X10.000"));
-    assert_eq!(desk.hear("!! printer halted\r\n"), "");
-    assert!(desk.told().contains(&Report::Alarm { code: 112 }));
+    assert!(desk.hear("ok T:21.3 /0.0 B:20.1 /0.0 @:0 B@:0\r\n").starts_with("N9 G0 Z45.000"));
+    assert!(desk.hear("ok P15 B3\r\n").starts_with("N10 G1 X10.000"));
+    for end in [
+        "!! printer halted\r\n",
+        "Error:Printer halted. kill() called!\r\n//action:poweroff\r\n",
+        "Error:KILL caused by too much inactive time - current command: G1 X1\r\n",
+        "Printer stopped due to errors. Fix the error and use M999 to restart. (Temperature is reset.)\r\nok\r\n",
+    ] {
+        let mut desk = Desk::new();
+        desk.make_ready();
+        desk.pick();
+        assert_eq!(desk.hear(end), "", "{end}");
+        assert!(desk.told().contains(&Report::Alarm { code: 112 }), "{end}");
+    }
+}
+
+#[test]
+fn a_poll_on_its_way_is_waited_for_before_anything_else_is_asked() {
+    let mut desk = Desk::new();
+    desk.make_ready();
+    assert_eq!(desk.wait(10_000), "N8 M114\\n");
+    desk.marlin.command(Command::Hold, desk.now_ns).unwrap();
+    assert_eq!(desk.wait(300), "|\\nM410\\n|M410\\n|M410\\nN9 M114\\n");
+    desk.hear(&at(0.0));
+    desk.wait(60);
+    desk.hear(&at(0.0));
+    desk.hear("ok\r\n");
+    desk.hear(&at(0.0));
+    assert!(desk.told().ends_with(&[Report::Held { by: HeldBy::Command }]));
+    assert_eq!(desk.wait(10_000), "N13 M114\\n");
+    desk.marlin.command(Command::Release, desk.now_ns).unwrap();
+    // An `ok` too many, then the answer to the poll: only then M400 goes out.
+    assert_eq!(desk.hear("ok\r\n"), "");
+    assert_eq!(desk.hear(&at(0.0)), "N14 M400\\n");
+}
+
+#[test]
+fn builds_that_say_ok_before_what_they_were_asked_for_are_understood() {
+    let mut desk = Desk::new();
+    desk.wait(2);
+    desk.hear("start\r\n");
+    desk.hear("ok\r\n");
+    desk.hear("FIRMWARE_NAME:Marlin 2.1.2\r\nCap:EEPROM:1\r\n");
+    assert_eq!(desk.wait(40), "N2 M114\\n");
+    desk.hear("ok\r\nX:0.0 Y:0.0 Z:0.0 E:0.0 Count: A:0 B:0 C:0\r\n");
+    desk.wait(40);
+    assert_eq!(desk.told(), [Report::Connected { session: 7, held_by: HeldBy::Start }]);
 }

@@ -34,11 +34,8 @@ impl Wire for MarlinWire {
             position_mm: None,
             steps: None,
             steps_before: None,
-            m114_waits: false,
-            countless: 0,
-            silent_looking: false,
+            quickstop: false,
             moves_ahead: 0,
-            move_taken: i64::MIN,
             own_not_before: 0,
             next_poll: 0,
             polling: false,
@@ -75,6 +72,11 @@ impl Wire for MarlinWire {
         for &byte in bytes {
             if let Some(line) = self.incoming.push(byte) {
                 self.text(line.text(), now, events);
+                if let Some(flight) = self.flight.as_mut().filter(|flight| flight.ok_seen)
+                    && flight.is_answered(self.answered)
+                {
+                    flight.patience = flight.patience.min(now - flight.sent + SECOND_OK);
+                }
             }
         }
         events.garbage += self.incoming.take_garbage();
@@ -89,7 +91,7 @@ impl Wire for MarlinWire {
                 }
                 return;
             }
-            Chore::Greet(_, since) if now - since >= self.handshake => {
+            Chore::Greet(_, since) if now - since >= self.greeting() => {
                 if core::mem::take(&mut self.foreign) {
                     events.push(Event::WrongDialect);
                 }
@@ -104,7 +106,7 @@ impl Wire for MarlinWire {
                     self.urgent = Some(LineBuf::of("M410\n"));
                     self.chore = Chore::Stop { sent: sent + 1, since, asking, looks };
                     if sent + 1 == STOP_AGAIN.len() {
-                        self.renumber();
+                        self.own("M114", Kind::Modal);
                     }
                 }
                 return;
@@ -126,7 +128,7 @@ impl Wire for MarlinWire {
         let timer = match self.chore {
             Chore::Closed => return None,
             Chore::Banner(until) => return Some(until),
-            Chore::Greet(_, since) => Some(since + self.handshake),
+            Chore::Greet(_, since) => Some(since + self.greeting()),
             Chore::Stop { sent, since, .. } => {
                 Some(since + STOP_AGAIN.get(sent).copied().unwrap_or(STOP_LOST))
             }
@@ -145,6 +147,7 @@ impl Wire for MarlinWire {
         if let Some(line) = self.urgent.take() {
             let mut len = 0;
             put(out, &mut len, line.as_bytes());
+            self.quickstop = true;
             return (len, true);
         }
         if let Some(flight) = &mut self.flight {
@@ -170,10 +173,11 @@ impl Wire for MarlinWire {
         if line.as_bytes() == b"M114" {
             self.asked_since.get_or_insert(now);
         }
-        // After a look that found it at rest M400 has nothing to wait for.
-        let question = matches!(line.as_bytes(), b"M114" | b"M400");
-        let waits = if question { self.m114_waits } else { kind == Kind::Dwell };
-        let patience = if waits { ANSWER_WAITING } else { ANSWER };
+        let patience = match kind {
+            Kind::Dwell => ANSWER_WAITING,
+            _ if self.quickstop => ANSWER_STOPPED,
+            _ => ANSWER,
+        };
         (self.launch(line, None, patience, now, out), false)
     }
 
@@ -192,7 +196,8 @@ impl Wire for MarlinWire {
             Kind::Motion => ANSWER_WAITING,
             Kind::Dwell => ANSWER_WAITING + i64::from(dwell_ms) * MS,
             Kind::Home => ANSWER_HOME,
-            Kind::Action | Kind::Modal => ANSWER,
+            Kind::Action => ANSWER_ACTION,
+            Kind::Modal => ANSWER,
         };
         self.next_poll = now + self.heartbeat;
         self.moves_ahead += u32::from(kind == Kind::Motion);
@@ -204,37 +209,31 @@ impl Wire for MarlinWire {
     }
 
     fn sync(&mut self, _now: i64) {
-        if self.m114_waits {
-            self.begin(Chore::Sync(Asking::Wait));
-            self.own("M400", Kind::Dwell);
-        } else {
-            self.begin(Chore::Sync(Asking::Look));
-            self.own("M114", Kind::Modal);
-            self.own_not_before = self.move_taken.saturating_add(FIRST_MOVE);
-        }
+        self.turn_to(Chore::Sync(Asking::Wait));
+        self.own("M400", Kind::Dwell);
     }
 
     fn stop(&mut self, now: i64) {
         self.urgent = Some(LineBuf::of("\nM410\n"));
         if !matches!(self.chore, Chore::Closed | Chore::Banner(_) | Chore::Greet(..)) {
-            self.begin(Chore::Stop { sent: 0, since: now, asking: Asking::Number, looks: 0 });
+            self.begin(Chore::Stop { sent: 0, since: now, asking: Asking::Look, looks: 0 });
         }
     }
 
     fn settle(&mut self, _now: i64) {
-        self.begin(Chore::Settle(Asking::Number));
-        self.renumber();
+        self.turn_to(Chore::Settle(Asking::Wait));
+        self.own("M400", Kind::Dwell);
     }
 
     fn unlock(&mut self, _now: i64) {
         self.dead = false;
         // M999 leaves the state "stopped"; a killed controller needs its button, and then says its banner.
-        self.begin(Chore::Unlock { sent: false });
-        self.renumber();
+        self.turn_to(Chore::Unlock);
+        self.own("M999", Kind::Modal);
     }
 
     fn ask_held(&mut self, question: &LineBuf, _now: i64) {
-        self.begin(Chore::Held);
+        self.turn_to(Chore::Held);
         self.held = false;
         self.own_line = Some((*question, Kind::Modal));
     }

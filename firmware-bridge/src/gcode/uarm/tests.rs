@@ -248,3 +248,98 @@ fn a_session_that_ends_during_a_wait_wakes_nobody_for_it() {
     desk.wait(1000);
     assert!(desk.uarm.next_deadline_ns().is_some_and(|at| at > desk.now_ns));
 }
+
+const RUNS: &str = "Run,MPos:1.000,2.000,3.000,WPos:1.000,2.000,3.000";
+
+#[test]
+fn an_arm_that_is_blocked_on_its_way_is_stopped_long_before_its_pick_times_out() {
+    let mut desk = Desk::new();
+    desk.begun();
+    desk.state = Some(RUNS);
+    // It gets on at first; the answer to the move itself is still to come.
+    assert_eq!(desk.wait(260), "#14 P2220\\n");
+    assert_eq!(desk.hear("$14 ok X150.0000 Y10.0000 Z100.0000\n"), "");
+    assert_eq!(desk.wait(250), "#15 P2220\\n");
+    // From here it does not, while the controller goes on counting steps.
+    let mut sent = desk.hear("$15 ok X140.0000 Y10.0000 Z90.0000\n");
+    for tag in 16..26 {
+        if sent.contains("|!") {
+            break;
+        }
+        assert_eq!(desk.wait(250), format!("#{tag} P2220\\n"));
+        sent = desk.hear(&format!("${tag} ok X140.2500 Y10.0000 Z89.7500\n"));
+    }
+    assert!(sent.contains("|!"), "{sent}");
+    desk.state = Some("Hold,MPos:1.000,2.000,3.000,WPos:1.000,2.000,3.000");
+    desk.wait(300);
+    let failed = Report::Failed { id: 7, failure: Failure::Controller { code: 1000 } };
+    assert!(desk.told().ends_with(&[failed, Report::Held { by: HeldBy::Alarm }]));
+}
+
+#[test]
+fn a_slow_move_a_late_answer_and_a_move_that_is_over_are_no_stall() {
+    let mut desk = Desk::new();
+    desk.begun();
+    desk.state = Some(RUNS);
+    // 48 mm a minute, seen through encoders of half a millimetre.
+    desk.wait(12);
+    for (tag, tenths) in (14..44).zip((0..).step_by(2)) {
+        assert_eq!(desk.wait(248), format!("#{tag} P2220\\n"));
+        let z = 90.0 - f64::from(tenths / 5) / 2.0;
+        assert_eq!(desk.hear(&format!("${tag} ok X140.0000 Y10.0000 Z{z:.4}\n")), "");
+    }
+    // A long G1 keeps the firmware from answering: it is asked once, and not again before it has answered.
+    assert_eq!(desk.wait(5000), "#44 P2220\\n");
+    assert_eq!(desk.hear("$13 ok\n"), "#45 G0 X10.000 Y20.000 Z45.000 F6000\\n");
+    assert_eq!(desk.hear("$44 ok X10.0000 Y20.0000 Z65.0000\n"), "");
+    assert_eq!(desk.hear("$45 ok\n"), "#46 G1 X10.000 Y20.000 Z5.000 F1500\\n");
+    assert!(desk.told().iter().all(|report| !matches!(report, Report::Failed { .. })));
+}
+
+#[test]
+fn reports_that_nobody_asked_for_mean_what_the_protocol_says() {
+    // Timed positions (M2120), buttons, switch, "move done" (M2122), a stop byte's echo: nothing for the cell.
+    for report in
+        ["@3 X1 Y2 Z3 R90", "@4 N0 V1", "@4 N1 V2", "@6 N0 V1", "@7", "@9 V0", "ok @9 V0", "@5 V1", "@"]
+    {
+        let mut desk = Desk::new();
+        desk.begun();
+        assert_eq!(desk.hear(&format!("{report}\r\n")), "", "{report}");
+        let told = desk.told();
+        assert!(!told.iter().any(|report| matches!(report, Report::Garbage { .. })), "{report}: {told:?}");
+        assert_eq!(desk.hear("$13 ok\n"), "#14 G0 X10.000 Y20.000 Z45.000 F6000\\n", "{report}");
+    }
+    // The motors' power is gone: nobody knows where the arm sank to.
+    let mut desk = Desk::new();
+    desk.begun();
+    assert!(desk.hear("@5 V0\n").starts_with("|!"));
+    desk.state = Some("Hold,MPos:1.000,2.000,3.000,WPos:1.000,2.000,3.000");
+    desk.wait(300);
+    let failed = Report::Failed { id: 7, failure: Failure::Held };
+    assert!(desk.told().ends_with(&[failed, Report::Held { by: HeldBy::Operator }]));
+    // It was switched off and on: what it says of itself, then `@1`.
+    let mut desk = Desk::new();
+    desk.begun();
+    let told = "device name : SwiftPro\r\nsoft ver : V4.10.0\r\napi ver : V4.0.5\r\nwork mode : 0\r\n@1\n";
+    assert!(desk.hear(told).ends_with(" P2203\\n"));
+    let lost =
+        [Report::Lost { id: 7 }, Report::Disconnected { cause: crate::message::Disconnect::Restarted }];
+    assert!(desk.told().ends_with(&lost));
+}
+
+#[test]
+fn a_firmware_that_is_silent_after_a_reset_is_asked_after_a_second() {
+    let mut desk = Desk::new();
+    desk.begun();
+    desk.uarm.command(Command::Hold, desk.now_ns).unwrap();
+    desk.state = Some("Hold,MPos:1.000,2.000,3.000,WPos:1.000,2.000,3.000");
+    desk.hear("ok @9 V0\n");
+    desk.wait(300);
+    desk.uarm.command(Command::Release, desk.now_ns).unwrap();
+    assert_eq!(desk.wait(2), "|\\x18");
+    desk.state = Some(STANDS);
+    // Built since 2019 it says nothing but `ok`.
+    desk.hear("ok\n");
+    let sent = desk.wait(1100);
+    assert!(sent.starts_with("$X\\n#") && sent.ends_with(" P2220\\n"), "{sent}");
+}

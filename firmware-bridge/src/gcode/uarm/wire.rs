@@ -49,6 +49,10 @@ impl Wire for UarmWire {
             alarm: None,
             leave_alarm: false,
             idle_since: None,
+            watch: None,
+            next_watch: 0,
+            runs: false,
+            lingers: None,
             held_sign: arm.moves.held.as_ref().map_or_else(Box::default, |held| held.expect.as_str().into()),
         }
     }
@@ -168,6 +172,7 @@ impl Wire for UarmWire {
         if self.urgent.is_some() || self.ask || self.leave_alarm {
             return Some(i64::MIN);
         }
+        let watch = (self.moves() && self.watch.is_none()).then_some(self.next_watch);
         let own = (self.own_line.is_some() && self.flight.is_none()).then_some(self.own_not_before);
         let flight = self.flight.and_then(|flight| flight.patience.map(|patience| flight.sent + patience));
         let ask = match self.ask_sent {
@@ -175,7 +180,7 @@ impl Wire for UarmWire {
             _ if self.polls() || (self.chore == Chore::None && self.flight.is_none()) => Some(self.next_ask),
             _ => None,
         };
-        [timer, own, flight, ask].into_iter().flatten().min()
+        [timer, own, flight, ask, watch].into_iter().flatten().min()
     }
 
     fn transmit(&mut self, now: i64, out: &mut [u8]) -> (usize, bool) {
@@ -200,6 +205,12 @@ impl Wire for UarmWire {
         {
             return (self.launch(&line, asked, Some(ANSWER), now, out), false);
         }
+        if self.moves() && self.watch.is_none() && now >= self.next_watch {
+            let len = self.tagged(&LineBuf::of("P2220"), out);
+            self.watch = Some(self.tag);
+            self.next_watch = now + WATCH;
+            return (len, false);
+        }
         (0, false)
     }
 
@@ -216,6 +227,8 @@ impl Wire for UarmWire {
         // Firmware 4 answers a move when it is done: the status and the pick's own time-out watch over it.
         let patience = (kind != Kind::Motion || !self.realtime).then_some(ANSWER);
         self.idle_since = None;
+        (self.watch, self.lingers) = (None, None);
+        self.next_watch = now + WATCH;
         self.launch(line, Asked::Line(kind), patience, now, out)
     }
 

@@ -80,7 +80,12 @@ fn m410_is_read_before_the_queue_and_m112_ends_everything() {
     // The move begins 100 ms after it was planned.
     desk.say("G1 X50 F600\n", 200);
     desk.say("M400\n", 100);
-    assert_eq!(desk.say("M410\n", 10), "ok\r\nok\r\n");
+    // For a second, and for another one when it comes out of the queue.
+    assert_eq!(desk.say("M410\n", 990), "");
+    assert_eq!(desk.wait(20), "ok\r\n");
+    assert_eq!(desk.say("G1 X0\n", 900), "");
+    assert_eq!(desk.wait(100), "ok\r\nok\r\n");
+    desk.say("M410\n", 2100);
     let said = desk.say("M114\n", 10);
     let at: f64 = said[2..].split(' ').next().unwrap().parse().unwrap();
     assert!(at > 1.0 && at < 3.0, "{said}");
