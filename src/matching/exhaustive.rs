@@ -302,7 +302,7 @@ impl Tree<'_, '_> {
             }
             // the last node of a match is judged as a whole anyway
             if model.spans.len() > 1 {
-                let missing = self.judge.missing(span, new, other);
+                let missing = self.judge.missing(span, new, other, span.looks);
                 cost.missing += missing;
                 if is_bare(span, missing) || self.bound(&cost) >= most {
                     return None;

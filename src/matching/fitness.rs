@@ -169,14 +169,19 @@ impl Judge<'_> {
         if !below(&terms) {
             return None;
         }
-        let (mut missing, mut looks) = (0, 0);
+        let looks: u32 = self.spans(chosen).map(|(span, ..)| 2 * span.looks).sum();
+        // With one more than these the fitness is over the limit.
+        let left = (limit - terms.fitness(&self.weights)) * f64::from(looks) / self.weights.missing;
+        let mut missing = 0;
         for (span, a, b) in self.spans(chosen) {
-            let of_span = self.missing(span, a, b);
+            let of_span = self.missing(span, a, b, (left as u32).saturating_sub(missing));
             terms.contradictions += is_bare(span, of_span) as u32 as f64;
             missing += of_span;
-            looks += 2 * span.looks;
+            if f64::from(missing) > left {
+                return None;
+            }
         }
-        terms.missing = missing as f64 / looks as f64;
+        terms.missing = f64::from(missing) / f64::from(looks);
         Some(terms).filter(below)
     }
 
@@ -244,17 +249,22 @@ impl Judge<'_> {
         sum
     }
 
-    /// How many of the `2 * span.looks` pixels on the straight line between two nodes are background.
-    pub(super) fn missing(&self, span: &Span, a: &Candidate, b: &Candidate) -> u32 {
+    /// How many of the `2 * span.looks` pixels on the straight line between two nodes are background; counted no
+    /// further than one beyond `enough`.
+    pub(super) fn missing(&self, span: &Span, a: &Candidate, b: &Candidate, enough: u32) -> u32 {
         let middle = [0, 1, 2].map(|k| (a.point_mm[k] + b.point_mm[k]) as f64 / 2.0);
         let middle = self.project(&Point3::from(middle));
-        2 * span.looks
-            - (0..2)
-                .map(|side| {
-                    let Some(middle) = middle[side] else { return 0 };
-                    found_on(self.masks[side], a.seen_px[side], middle, b.seen_px[side], span.looks)
-                })
-                .sum::<u32>()
+        let mut missing = 0;
+        for side in 0..2 {
+            missing += match middle[side] {
+                Some(middle) if missing <= enough => {
+                    let ends = (a.seen_px[side], b.seen_px[side]);
+                    missing_on(self.masks[side], ends.0, middle, ends.1, span.looks, enough - missing)
+                }
+                _ => span.looks,
+            };
+        }
+        missing
     }
 
     /// Where both cameras see a point.
@@ -292,7 +302,7 @@ impl Judge<'_> {
                 if let (Some(a), Some(m), Some(b)) =
                     (ends[span.from][side], middle[side], ends[span.to][side])
                 {
-                    found += found_on(self.masks[side], a, m, b, span.looks);
+                    found += span.looks - missing_on(self.masks[side], a, m, b, span.looks, u32::MAX);
                 }
             }
         }
@@ -324,24 +334,40 @@ fn apart_px(a: [f32; 2], b: [f32; 2]) -> f32 {
     (x * x + y * y).sqrt()
 }
 
-/// Foreground among `looks` evenly spaced pixels of the parabola through both ends and the middle.
+/// Background among `looks` evenly spaced pixels of the parabola through both ends and the middle; counted no further
+/// than one beyond `enough`.
 #[inline]
-fn found_on(mask: &BitImage, from: [f32; 2], middle: [f32; 2], to: [f32; 2], looks: u32) -> u32 {
+fn missing_on(
+    mask: &BitImage,
+    from: [f32; 2],
+    middle: [f32; 2],
+    to: [f32; 2],
+    looks: u32,
+    enough: u32,
+) -> u32 {
     // moved up, so that cutting off the decimals rounds to the nearest pixel left of and above the picture too
     const UP: f32 = 1024.5;
+    /// Looks that are skipped at first: between nodes that nothing joins most is background, wherever one looks.
+    const STRIDE: u32 = 8;
     let curve = |k: usize| {
         let bend = 2.0 * (from[k] + to[k] - 2.0 * middle[k]);
         (from[k] + UP, to[k] - from[k] - bend, bend)
     };
     let ((x0, x1, x2), (y0, y1, y2)) = (curve(0), curve(1));
     let step = 1.0 / looks as f32;
-    let mut found = 0;
-    for k in 0..looks {
-        let t = (k as f32 + 0.5) * step;
-        let (x, y) = (x0 + t * (x1 + t * x2), y0 + t * (y1 + t * y2));
-        found += mask.get((x as i32).saturating_sub(1024), (y as i32).saturating_sub(1024)) as u32;
+    let mut missing = 0;
+    for first in 0..STRIDE.min(looks) {
+        for k in (first..looks).step_by(STRIDE as usize) {
+            let t = (k as f32 + 0.5) * step;
+            let (x, y) = (x0 + t * (x1 + t * x2), y0 + t * (y1 + t * y2));
+            // Far away is outside, also where the subtraction wraps.
+            missing += !mask.get((x as i32).wrapping_sub(1024), (y as i32).wrapping_sub(1024)) as u32;
+        }
+        if missing > enough {
+            break;
+        }
     }
-    found
+    missing
 }
 
 #[cfg(test)]

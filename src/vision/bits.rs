@@ -13,18 +13,17 @@ pub const PAD_ROWS: usize = 8;
 pub struct BitImage {
     width: usize,
     height: usize,
+    /// Words a strip, padding included.
+    stride: usize,
     words: Vec<u64>,
 }
 
 impl BitImage {
     /// An empty picture of this size in pixels.
     pub fn new(width: usize, height: usize) -> Self {
-        Self { width, height, words: vec![0; width.div_ceil(64) * Self::stride_of(height)] }
-    }
-
-    /// Words a strip, padding included; a multiple of 8 plus the padding.
-    const fn stride_of(height: usize) -> usize {
-        height.next_multiple_of(8) + 2 * PAD_ROWS
+        // A multiple of 8 plus the padding.
+        let stride = height.next_multiple_of(8) + 2 * PAD_ROWS;
+        Self { width, height, stride, words: vec![0; width.div_ceil(64) * stride] }
     }
 
     /// Width in pixels.
@@ -44,7 +43,7 @@ impl BitImage {
 
     /// Words from one strip to the next; row `y` of strip `s` is `words()[s * strip_stride() + PAD_ROWS + y]`.
     pub fn strip_stride(&self) -> usize {
-        Self::stride_of(self.height)
+        self.stride
     }
 
     /// All words, padding included.
@@ -78,11 +77,11 @@ impl BitImage {
     /// The pixel; 0 outside the picture.
     #[inline]
     pub fn get(&self, x: i32, y: i32) -> bool {
-        if x < 0 || y < 0 || x as usize >= self.width || y as usize >= self.height {
-            return false;
-        }
-        let (x, y) = (x as usize, y as usize);
-        self.words[(x / 64) * self.strip_stride() + PAD_ROWS + y] >> (x % 64) & 1 == 1
+        // What is negative is very large without its sign.
+        let (x, y) = (x as u32 as usize, y as u32 as usize);
+        x < self.width
+            && y < self.height
+            && self.words[(x / 64) * self.stride + PAD_ROWS + y] >> (x % 64) & 1 == 1
     }
 
     /// Sets the pixel.
