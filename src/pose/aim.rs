@@ -11,17 +11,11 @@ const BARE_HALF_WIDTHS: [f64; 3] = [0.8, 1.6, 2.8];
 /// See [`super::refine::EndSighting::mask_beyond_px`].
 const HIDDEN_PX_MAX: u32 = 12;
 
-/// The point whose picture the middle of the outline is: above the axis, towards the cameras, where the light is.
-pub(super) fn lifted(
-    lift_radii: f64,
-    eye: &Point3<f64>,
-    radius_mm: f64,
-    point: &Point3<f64>,
-    tangent: &Vector3<f64>,
-) -> Point3<f64> {
+/// Unit vector from the axis of a wire to where the cameras, and the light above them, see it.
+pub(super) fn up(eye: &Point3<f64>, point: &Point3<f64>, tangent: &Vector3<f64>) -> Vector3<f64> {
     let to_eye = eye - point;
     let across = to_eye - tangent * tangent.dot(&to_eye);
-    point + across * (lift_radii * radius_mm / across.norm().max(1e-9))
+    across / across.norm().max(1e-9)
 }
 
 /// Where and how a piece of wire is expected in one picture.

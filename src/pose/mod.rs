@@ -4,5 +4,6 @@ mod aim;
 pub mod model;
 pub mod refine;
 pub mod section;
+pub mod shading;
 pub mod verify;
 pub mod width;

@@ -7,6 +7,9 @@ use crate::part::Part;
 /// Distance between two points of the centreline, in thicknesses.
 const STEP_THICKNESSES: f64 = 1.0;
 
+/// Cosine of the angle from which on a wire bends between two stations.
+const STRAIGHT_COS: f64 = 0.996;
+
 /// A point of the centreline at which the wire's place in the pictures is measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Station {
@@ -20,6 +23,10 @@ pub struct Station {
     pub length_mm: f64,
     /// Whether another wire of the part joins so near that the section across is not that of one wire.
     pub at_joint: bool,
+    /// Index of the straight piece of wire it lies on.
+    pub stretch: usize,
+    /// Where it lies on that, from -0.5 at one end to 0.5 at the other.
+    pub share: f64,
 }
 
 /// A free end of the part.
@@ -74,10 +81,13 @@ impl PoseModel {
                     tangent: along / length_mm,
                     edge,
                     length_mm,
+                    stretch: 0,
+                    share: 0.0,
                     at_joint: joints.iter().any(|j| (position_mm - j).norm() < 1.6 * part.thickness_mm),
                 });
             }
         }
+        find_stretches(&mut stations);
         let length_mm = stations.iter().map(|s| s.length_mm).sum();
         let centre =
             stations.iter().map(|s| s.position_mm.coords * s.length_mm).sum::<Vector3<f64>>() / length_mm;
@@ -88,6 +98,17 @@ impl PoseModel {
             radius_mm,
             length_mm,
             centre_mm: centre.into(),
+        }
+    }
+}
+
+/// Tells straight pieces of wire apart.
+fn find_stretches(stations: &mut [Station]) {
+    let goes_on = |a: &Station, b: &Station| a.edge == b.edge && a.tangent.dot(&b.tangent) > STRAIGHT_COS;
+    for (stretch, stations) in stations.chunk_by_mut(goes_on).enumerate() {
+        let count = stations.len() as f64;
+        for (k, station) in stations.iter_mut().enumerate() {
+            (station.stretch, station.share) = (stretch, (k as f64 + 0.5) / count - 0.5);
         }
     }
 }

@@ -11,6 +11,8 @@ use crate::frame::LumaView;
 use crate::vision::bits::{BitImage, nearest};
 
 const SAMPLES_MAX: usize = 96;
+/// Steps from one outline to the other in which the light between them is added up.
+const SKEW_SAMPLES: u32 = 12;
 /// How far behind an end it must be floor, in pixels.
 const BEHIND_END_PX: f64 = 4.0;
 /// How bright it may be behind an end, from floor (0) to wire (1).
@@ -108,6 +110,31 @@ impl<'a> Profiler<'a> {
         }
         let (low_px, high_px) = if cos < 0.0 { (high.map(|h| -h), low.map(|l| -l)) } else { (low, high) };
         Some(Section { low_px, high_px })
+    }
+
+    /// How far the light of a wire lies beside the middle of its outline, in half widths, along the unit vector
+    /// `across`: nought where the lamp is above it. `None` where no outline is seen.
+    pub fn skew(&self, origin: Vector2<f64>, across: Vector2<f64>, half_width_px: f64) -> Option<f64> {
+        let (middle, width) =
+            self.across(origin, across, half_width_px, 1.0).and_then(|s| s.middle_and_width())?;
+        let reach = across * (width / 2.0);
+        let middle = origin + across * middle;
+        if !self.inside(middle - reach) || !self.inside(middle + reach) {
+            return None;
+        }
+        let light = |share: f64| {
+            let at = middle + reach * share;
+            self.sign * f64::from(self.luma.sample(at.x as f32, at.y as f32))
+        };
+        let floor = (light(-1.0) + light(1.0)) / 2.0;
+        let (mut sum, mut moment) = (0.0, 0.0);
+        for k in 1..SKEW_SAMPLES {
+            let share = 2.0 * f64::from(k) / f64::from(SKEW_SAMPLES) - 1.0;
+            let above = (light(share) - floor).max(0.0);
+            sum += above;
+            moment += above * share;
+        }
+        (sum > 0.0).then(|| moment / sum * width / (2.0 * half_width_px))
     }
 
     /// How far beyond `end` (in pixels, negative: before) the wire ends, along the unit vector `outward`, where

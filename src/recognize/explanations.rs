@@ -225,7 +225,7 @@ impl Explanations {
         &mut self,
         parts: &[Prepared],
         params: &select::Params,
-        mut stands: impl FnMut(&Explanation) -> bool,
+        mut stands: impl FnMut(&Explanation, &mut Refine) -> bool,
     ) {
         self.claims.iter_mut().for_each(ClaimMap::clear);
         for explanation in &mut self.list[..self.count] {
@@ -247,7 +247,7 @@ impl Explanations {
             self.list[index].worth.1 = Worth::NONE;
             self.claim(index);
             standing += 1;
-            if !stands(&self.list[index]) {
+            if !stands(&self.list[index], &mut self.refine) {
                 return;
             }
         }

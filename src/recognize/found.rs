@@ -7,14 +7,17 @@ use super::Params;
 use super::explanations::{Explanation, SAME_END_PX};
 use super::prepared::Prepared;
 use super::result::{FoundNode, FoundPart, Seen};
-use super::spread::sigmas;
+use super::spread::{displaced_by_lamp, sigmas};
+use super::views::lit;
 use crate::grasp;
 use crate::matching::nodes::NodeRole;
 use crate::matching::select;
 use crate::part::NODES_MAX;
 use crate::picture::Picture;
+use crate::pose::refine::{Refine, View};
 use crate::rig::Rig;
 
+#[expect(clippy::too_many_arguments)]
 /// The part that an explanation is.
 pub(super) fn found(
     params: &Params,
@@ -22,12 +25,17 @@ pub(super) fn found(
     pictures: &[Picture; 2],
     prepared: &Prepared,
     e: &Explanation,
+    refine: &mut Refine,
+    views: &[View; 2],
     iterations: u64,
 ) -> FoundPart {
     let pose = e.fit.left_from_part;
     let placed = prepared.placed(&pose, 0.0);
     let grasp = grasp::grasp_of(&params.grasp, &placed);
-    let (sigma_mm, sigma_axis_rad) = sigmas(&params.grasp, prepared, &e.fit);
+    let covariance = refine.covariance(&prepared.pose_model, &e.fit, views);
+    let per_skew = lit(params).shading.across_per_skew;
+    let beside = displaced_by_lamp(per_skew, prepared.pose_model.radius_mm, &e.verdict, views);
+    let (sigma_mm, sigma_axis_rad) = sigmas(&params.grasp, prepared, &pose, &covariance, &beside);
     let sees = |side: usize, px: &Vector2<f64>| {
         pictures[side]
             .nodes()

@@ -124,7 +124,7 @@ impl Recognizer {
         if !budget.is_over() && self.search_ridges(pair) {
             self.explain(pair, budget, out);
         }
-        self.compete(out);
+        self.compete(pair, out);
         self.grasp(out);
         if budget.is_over() {
             out.out_of_time = true;
@@ -245,11 +245,13 @@ impl Recognizer {
     }
 
     /// Lets the explanations compete; those that stand are the parts.
-    fn compete(&mut self, out: &mut Recognition) {
+    fn compete(&mut self, pair: &FramePair, out: &mut Recognition) {
         let Self { explanations, parts, rig, pictures, params, .. } = self;
-        explanations.compete(parts, &params.select, |explanation| {
+        let Some(views) = views(pictures, rig, pair, params) else { return };
+        explanations.compete(parts, &params.select, |explanation, refine| {
             let prepared = &parts[explanation.hypothesis.part];
-            out.parts.push(found(params, rig, pictures, prepared, explanation, out.iterations));
+            let iterations = out.iterations;
+            out.parts.push(found(params, rig, pictures, prepared, explanation, refine, &views, iterations));
             out.parts.len() < PARTS_MAX
         });
     }

@@ -131,7 +131,7 @@ pub struct FoundPart {
     pub grasp: Grasp,
     /// Standard deviation of the grasp's position along the axes of its frame, mm.
     pub sigma_mm: Vector3<f64>,
-    /// Standard deviation of the wire's direction at the grasp, radians.
+    /// Root mean square angle between the wire's direction at the grasp and the true one, radians.
     pub sigma_axis_rad: f64,
     /// Why it cannot be taken.
     pub blocked: Option<Blocked>,

@@ -1,38 +1,64 @@
 //! How far a result may be off.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Isometry3, Matrix2, Matrix6, Vector2, Vector3};
 
 use super::prepared::Prepared;
 use crate::grasp;
-use crate::pose::refine::Fit;
+use crate::pose::refine::View;
+use crate::pose::verify::{Sight, Verdict};
 
-/// Errors of neighbouring sections are alike (shading), so that their mean errs more than if they were not.
-const SIGMA_SCALE: f64 = 1.25;
-
-/// What shading moves all sections of a wire alike, in mm: across, and along the line of sight, where the height of
-/// the lit line above the axis ([`lift_radii`](crate::pose::refine::Params::lift_radii)) and the angle between the cameras multiply it.
-const SHADING_SIGMA_MM: [f64; 2] = [0.03, 0.06];
-
-/// Standard deviations of the grasp's position (along the output frame's axes) and of the wire's direction there.
-pub(super) fn sigmas(params: &grasp::Params, prepared: &Prepared, fit: &Fit) -> (Vector3<f64>, f64) {
-    let pose = &fit.left_from_part;
+/// Standard deviations of the grasp's position (along the output frame's axes) and the root mean square angle between
+/// the wire's direction there and the true one. `covariance` is that of [`Refine::covariance`](crate::pose::refine::Refine::covariance), `beside` how far the lamp may have displaced the part, in mm of the
+/// left camera's frame.
+pub(super) fn sigmas(
+    params: &grasp::Params,
+    prepared: &Prepared,
+    pose: &Isometry3<f64>,
+    covariance: &Matrix6<f64>,
+    beside: &Vector3<f64>,
+) -> (Vector3<f64>, f64) {
     let arm = pose * prepared.part.grasp.position_mm - pose * prepared.pose_model.centre_mm;
-    let shift = fit.covariance.fixed_view::<3, 3>(0, 0);
-    let turn = fit.covariance.fixed_view::<3, 3>(3, 3);
-    let mixed = fit.covariance.fixed_view::<3, 3>(0, 3);
+    let shift = covariance.fixed_view::<3, 3>(0, 0);
+    let turn = covariance.fixed_view::<3, 3>(3, 3);
+    let mixed = covariance.fixed_view::<3, 3>(0, 3);
     let lever = -arm.cross_matrix();
-    let position =
-        shift + lever * turn * lever.transpose() + mixed * lever.transpose() + lever * mixed.transpose();
-    let sight = pose.translation.vector.normalize();
-    let position = position * (SIGMA_SCALE * fit.misfit.max(1.0)).powi(2)
-        + Matrix3::identity() * SHADING_SIGMA_MM[0].powi(2)
-        + sight * sight.transpose() * SHADING_SIGMA_MM[1].powi(2);
+    let position = shift
+        + lever * turn * lever.transpose()
+        + mixed * lever.transpose()
+        + lever * mixed.transpose()
+        + beside * beside.transpose();
     let rotation = params.base_from_left.unwrap_or_default().rotation.to_rotation_matrix();
     let turned = rotation.matrix() * position * rotation.matrix().transpose();
     let wire = pose * prepared.part.grasp.approach.cross(&prepared.part.grasp.closing);
     let across = wire.cross_matrix();
     let axis = across * turn * across.transpose();
-    // Measurements that agree worse than assumed are worth less.
-    let scale = SIGMA_SCALE * fit.misfit.max(1.0);
-    (turned.diagonal().map(|v| v.max(0.0).sqrt()), (axis.trace() / 2.0).max(0.0).sqrt() * scale)
+    (turned.diagonal().map(|v| v.max(0.0).sqrt()), axis.trace().max(0.0).sqrt())
 }
+
+/// How far the lamp may have displaced a part: across, in mm of the left camera's frame, from how far the light of its
+/// wires lies beside their middles.
+pub(super) fn displaced_by_lamp(
+    per_skew: f64,
+    radius_mm: f64,
+    verdict: &Verdict,
+    views: &[View; 2],
+) -> Vector3<f64> {
+    let mut normal = Matrix2::zeros();
+    let mut right_side = Vector2::zeros();
+    for piece in verdict.pieces.iter().step_by(SKEW_STRIDE) {
+        for (seen, view) in piece.iter().zip(views).filter(|(seen, _)| seen.sight == Sight::Clear) {
+            let Some(skew) = view.profiler.skew(seen.expected_px, seen.across, seen.half_width_px) else {
+                continue;
+            };
+            normal += seen.across * seen.across.transpose() + Matrix2::identity() * ALONG_WEIGHT;
+            right_side += seen.across * skew;
+        }
+    }
+    let radii = normal.try_inverse().map_or(Vector2::zeros(), |inverse| inverse * right_side) * per_skew;
+    Vector3::new(radii.x, radii.y, 0.0) * radius_mm
+}
+
+/// Every so many stations are looked at.
+const SKEW_STRIDE: usize = 3;
+/// Along a straight wire nothing is seen of the lamp: it is taken for nought there.
+const ALONG_WEIGHT: f64 = 0.02;

@@ -7,6 +7,7 @@ use crate::frame::{FramePair, LumaView};
 use crate::picture::Picture;
 use crate::pose::refine::{self, View};
 use crate::pose::section::Profiler;
+use crate::pose::shading::Shading;
 use crate::rig::Rig;
 
 /// Refinement as the light wants it: dark parts on a light floor are seen whole, so that the middle
@@ -19,6 +20,13 @@ pub(super) fn lit(params: &Params) -> refine::Params {
             end_lift_radii: [0.93, -0.93],
             faces_like_wire: true,
             outline_ratio: 1.0,
+            shading: Shading {
+                across: 0.04,
+                across_per_skew: 0.0,
+                lift: 0.2,
+                end: 0.08,
+                ..Shading::default()
+            },
             ..params.refine
         }
     } else {

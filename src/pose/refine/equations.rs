@@ -3,7 +3,7 @@
 //! Measurements are kept eight to a block, column beside column, so that eight are weighed at a time in whatever
 //! registers the machine has; all levels give the same bits.
 
-use nalgebra::{Cholesky, Const, Matrix6, SMatrix, SVector, Vector3, Vector6};
+use nalgebra::{Cholesky, Const, SMatrix, SVector, Vector3, Vector6};
 
 use crate::vision::level::Level;
 
@@ -16,7 +16,7 @@ const UNKNOWNS: usize = 8;
 /// Fewest measurements that must be believed.
 const BELIEVED_MIN: usize = 6;
 /// What the pictures do not fix stays where it was, within about this: mm, then radians.
-const START_SIGMA: [f64; 2] = [5.0, 0.2];
+pub(super) const START_SIGMA: [f64; 2] = [5.0, 0.2];
 
 type Lanes = [f64; LANES];
 type Unknowns = SVector<f64, UNKNOWNS>;
@@ -33,6 +33,15 @@ pub(super) struct Measurement {
     pub(super) patience: f64,
     /// The picture whose shading moves it, if any.
     pub(super) shaded: Option<usize>,
+}
+
+impl Measurement {
+    /// Its weight in the normal equations, where the step is nought and belief has halved at `scale`.
+    pub(super) fn weight(&self, scale: f64) -> f64 {
+        let e = self.residual_px / self.sigma_px;
+        let belief = 1.0 / (1.0 + (e / (scale * self.patience)).powi(2));
+        (belief / self.sigma_px).powi(2)
+    }
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -75,9 +84,10 @@ pub(super) struct Solution {
 }
 
 impl Solution {
-    /// Covariance of the step, in units of the assumed standard deviations.
-    pub(super) fn covariance(&self) -> Matrix6<f64> {
-        self.normal.inverse().fixed_view::<6, 6>(0, 0).into()
+    /// Inverse of the normal equations, of displacement in mm, rotation in radians, and the offset of all sections in
+    /// each picture in pixels: the covariance of these, in units of the assumed standard deviations.
+    pub(super) fn inverse(&self) -> SMatrix<f64, UNKNOWNS, UNKNOWNS> {
+        self.normal.inverse()
     }
 }
 
@@ -271,8 +281,8 @@ mod tests {
         let found = measured(Level::Plain, &step, 61, 8).solve(&DOUBT).unwrap();
         assert!((found.step - step).amax() < 0.01, "{}", found.step);
         assert_eq!(found.believed, 61 - 61 / 8);
-        let sigma = found.covariance().diagonal().map(f64::sqrt);
-        assert!(sigma.iter().all(|s| (0.001..0.1).contains(s)), "{sigma}");
+        let sigma = found.inverse().diagonal().map(f64::sqrt);
+        assert!(sigma.iter().take(6).all(|s| (0.001..0.1).contains(s)), "{sigma}");
     }
 
     #[test]

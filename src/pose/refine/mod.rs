@@ -10,16 +10,19 @@
 //! [`Params::end_lift_radii`] for ends. Both were measured on rendered scenes of seven rigs, over which they differ
 //! by 0.07 and 0.1 radii.
 
+mod covariance;
 mod equations;
 
 use arrayvec::ArrayVec;
-use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Rotation3, Translation3, Vector2, Vector3, Vector6};
+use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, Vector2, Vector3, Vector6};
 
+use covariance::Origin;
 use equations::{Doubt, Equations, Measurement, Solution};
 
-use super::aim::{aim, end_is_bare, lifted, mask_beyond_px};
+use super::aim::{aim, end_is_bare, mask_beyond_px, up};
 use super::model::PoseModel;
 use super::section::{EndLook, Profiler, Section, mask_run};
+use super::shading::Shading;
 use super::width::UsualWidth;
 use crate::rig::{CameraModel, Rig};
 use crate::vision::bits::{BitImage, nearest};
@@ -48,6 +51,8 @@ pub struct Params {
     pub section_sigma_px: f64,
     /// Standard deviation of what shading moves all sections of a straight wire alike in one picture, in pixels.
     pub shading_sigma_px: f64,
+    /// What else the light does to the outlines.
+    pub shading: Shading,
     /// Standard deviation of an end, in pixels.
     pub end_sigma_px: f64,
     /// The same for the outline of an end that leans up or away, whose face is not seen: where the lit upper side
@@ -73,6 +78,7 @@ impl Default for Params {
             outline_ratio: 0.85,
             section_sigma_px: 0.15,
             shading_sigma_px: 0.01,
+            shading: Shading::default(),
             end_sigma_px: 0.14,
             end_lift_radii: [0.6, -0.93],
             faces_like_wire: false,
@@ -95,7 +101,9 @@ impl Params {
         } else if self.faces_like_wire {
             (lower, 0.0)
         } else {
-            (upper + (lower - upper) * lean_sin.max(0.0), (upper - lower) / 12f64.sqrt())
+            let like_wire = lean_sin.max(0.0);
+            let sigma = (upper - lower) * (like_wire * (1.0 - like_wire)).sqrt();
+            (upper + (lower - upper) * like_wire, sigma)
         }
     }
 }
@@ -128,6 +136,8 @@ pub struct Sighting {
     pub across: Vector2<f64>,
     /// Expected half width of the silhouette.
     pub half_width_px: f64,
+    /// How far it moves across when the wire is raised by a radius.
+    lift_px: f64,
     gradient: Vector6<f64>,
 }
 
@@ -142,7 +152,11 @@ pub struct EndSighting {
     pub outward: Vector2<f64>,
     /// Length of mask from the expected place outwards where the end is hidden, up to 12.
     pub mask_beyond_px: f64,
-    sigma_px: f64,
+    half_width_px: f64,
+    /// Standard deviation of what the face of the end is taken for.
+    face_px: f64,
+    /// How far it moves along when the wire is raised by a radius.
+    lift_px: f64,
     gradient: Vector6<f64>,
 }
 
@@ -151,9 +165,6 @@ pub struct EndSighting {
 pub struct Fit {
     /// From the part's frame to the left camera's.
     pub left_from_part: Isometry3<f64>,
-    /// Covariance of a small displacement (mm) and rotation (radians) about the part's centre, left camera's axes,
-    /// in units of the assumed standard deviations.
-    pub covariance: Matrix6<f64>,
     /// Root of the weighted mean square of the residuals, in assumed standard deviations.
     pub misfit: f64,
     /// Number of measurements that the fit believes.
@@ -166,6 +177,8 @@ pub struct Refine {
     equations: Equations,
     sightings: Vec<[Option<Sighting>; 2]>,
     ends: Vec<[Option<EndSighting>; 2]>,
+    /// What the refined pose is measured with.
+    observations: Vec<covariance::Observation>,
     /// Seen widths, to take their median.
     ratios: Vec<f64>,
     eye: Point3<f64>,
@@ -180,6 +193,7 @@ impl Refine {
             equations: Equations::new(Level::detect()),
             sightings: Vec::with_capacity(STATIONS_MAX),
             ends: Vec::with_capacity(64),
+            observations: Vec::with_capacity(2 * STATIONS_MAX),
             ratios: Vec::with_capacity(STATIONS_MAX),
             eye: nalgebra::center(&Point3::origin(), &right_eye),
         }
@@ -238,12 +252,7 @@ impl Refine {
             }
         }
         let solution = last?;
-        Some(Fit {
-            left_from_part: pose,
-            covariance: solution.covariance(),
-            misfit: solution.misfit,
-            believed: solution.believed,
-        })
+        Some(Fit { left_from_part: pose, misfit: solution.misfit, believed: solution.believed })
     }
 
     /// Share of the wire, the mean of both pictures, where the masks have nothing.
@@ -287,7 +296,8 @@ impl Refine {
         sightings.clear();
         for station in model.stations.iter().take(STATIONS_MAX) {
             let (point, tangent) = (pose * station.position_mm, pose.rotation * station.tangent);
-            let lifted = lifted(params.lift_radii, eye, model.radius_mm, &point, &tangent);
+            let raised = up(eye, &point, &tangent) * model.radius_mm;
+            let lifted = point + raised * params.lift_radii;
             sightings.push([0, 1].map(|side| {
                 let view = &views[side];
                 let aim = aim(model.radius_mm, &lifted, &tangent, view)?;
@@ -297,6 +307,7 @@ impl Refine {
                     expected_px: aim.px,
                     across: aim.across,
                     half_width_px: aim.half_width_px,
+                    lift_px: (aim.jacobian * raised).dot(&aim.across),
                     gradient: aim.gradient(&aim.across, &(point - centre)),
                 })
             }));
@@ -317,14 +328,14 @@ impl Refine {
         ends.clear();
         for end in &model.ends {
             let (point, outward) = (pose * end.position_mm, pose.rotation * end.outward);
+            let raised = up(eye, &point, &outward) * model.radius_mm;
             let lean_sin = (*eye - point).normalize().dot(&outward);
             ends.push([0, 1].map(|side| {
                 let view = &views[side];
                 let faces = view.camera_from_left.inverse_transform_point(&Point3::origin());
                 let sees_face = (faces - point).dot(&outward) > 0.0;
                 let (lift_radii, lift_sigma) = params.end_lift(lean_sin, sees_face);
-                let lifted = lifted(lift_radii, eye, model.radius_mm, &point, &outward);
-                let aim = aim(model.radius_mm, &lifted, &outward, view)?;
+                let aim = aim(model.radius_mm, &(point + raised * lift_radii), &outward, view)?;
                 let beyond_px = view
                     .profiler
                     .end(aim.px, aim.along, aim.half_width_px, search_px, how)
@@ -336,7 +347,9 @@ impl Refine {
                     expected_px: aim.px,
                     outward: aim.along,
                     mask_beyond_px: if hidden { mask_beyond_px(view.mask, &aim) } else { 0.0 },
-                    sigma_px: params.end_sigma_px.hypot(lift_sigma * lean_sin * aim.half_width_px),
+                    face_px: lift_sigma * lean_sin * aim.half_width_px,
+                    half_width_px: aim.half_width_px,
+                    lift_px: (aim.jacobian * raised).dot(&aim.along),
                     gradient: aim.gradient(&aim.along, &(point - centre)),
                 })
             }));
@@ -348,7 +361,7 @@ impl Refine {
         let centre = pose * model.centre_mm;
         for station in model.stations.iter().step_by(COARSE_STRIDE).filter(|s| !s.at_joint) {
             let (point, tangent) = (pose * station.position_mm, pose.rotation * station.tangent);
-            let lifted = lifted(self.params.lift_radii, &self.eye, model.radius_mm, &point, &tangent);
+            let lifted = point + up(&self.eye, &point, &tangent) * (self.params.lift_radii * model.radius_mm);
             for (side, view) in views.iter().enumerate() {
                 let Some(aim) = aim(model.radius_mm, &lifted, &tangent, view) else { continue };
                 let Some((middle, width)) = mask_run(view.mask, aim.px, aim.across, search_px) else {
@@ -358,45 +371,28 @@ impl Refine {
                     continue;
                 }
                 let gradient = aim.gradient(&aim.across, &(point - centre));
-                let shaded = model.straight_along.map(|_| side);
-                self.push(gradient, middle, 2.0 * self.params.section_sigma_px, 1.0, shaded);
+                self.equations.push(&Measurement {
+                    residual_px: middle,
+                    gradient,
+                    sigma_px: 2.0 * self.params.section_sigma_px,
+                    patience: 1.0,
+                    shaded: model.straight_along.map(|_| side),
+                });
             }
         }
         self.look_at_ends(model, pose, views, search_px + 4.0, EndLook::Quick);
-        self.observe_ends();
+        let Self { equations, ends, params, .. } = self;
+        measure_ends(params, ends, |measurement, _| equations.push(&measurement));
     }
 
     fn observe_outlines(&mut self, model: &PoseModel, search_px: f64) {
         self.equations.clear();
         let usual = [0, 1].map(|side| self.usual_width(model, side));
-        for (k, station) in model.stations.iter().enumerate().take(self.sightings.len()) {
-            if station.at_joint {
-                continue;
-            }
-            for (side, usual) in usual.iter().enumerate() {
-                let Some(sighting) = self.sightings[k][side] else { continue };
-                let Some(section) = sighting.section else { continue };
-                let half_width_px = sighting.half_width_px;
-                if let Some((middle, sigma)) =
-                    usual.middle_of(&section, half_width_px, search_px, self.params.section_sigma_px)
-                {
-                    self.push(sighting.gradient, middle, sigma, 1.0, model.straight_along.map(|_| side));
-                }
-            }
-        }
-        self.observe_ends();
-    }
-
-    fn observe_ends(&mut self) {
-        for k in 0..self.ends.len() {
-            for side in 0..2 {
-                if let Some(EndSighting { beyond_px: Some(beyond), sigma_px, gradient, .. }) =
-                    self.ends[k][side]
-                {
-                    self.push(gradient, beyond, sigma_px, END_PATIENCE, None);
-                }
-            }
-        }
+        let Self { equations, sightings, ends, params, .. } = self;
+        measure_outlines(params, model, sightings, &usual, search_px, |measurement, _| {
+            equations.push(&measurement);
+        });
+        measure_ends(params, ends, |measurement, _| equations.push(&measurement));
     }
 
     /// Seen width of the wire in one picture.
@@ -409,17 +405,6 @@ impl Refine {
             sighting.section?.ratio(sighting.half_width_px)
         }));
         UsualWidth::of(ratios).unwrap_or(UsualWidth { ratio: params.outline_ratio, spread: 0.0 })
-    }
-
-    fn push(
-        &mut self,
-        gradient: Vector6<f64>,
-        residual_px: f64,
-        sigma_px: f64,
-        patience: f64,
-        shaded: Option<usize>,
-    ) {
-        self.equations.push(&Measurement { residual_px, gradient, sigma_px, patience, shaded });
     }
 
     /// Moves `pose` by the step that explains the measurements while the residual at which belief has halved goes from
@@ -456,7 +441,7 @@ impl Refine {
         tangent: &Vector3<f64>,
         view: &View,
     ) -> Option<Sighting> {
-        let lifted = lifted(self.params.lift_radii, &self.eye, radius_mm, point, tangent);
+        let lifted = point + up(&self.eye, point, tangent) * (self.params.lift_radii * radius_mm);
         let aim = aim(radius_mm, &lifted, tangent, view)?;
         Some(Sighting {
             section: view.profiler.across(aim.px, aim.across, aim.half_width_px, 1.0),
@@ -465,6 +450,65 @@ impl Refine {
             half_width_px: aim.half_width_px,
             ..Sighting::default()
         })
+    }
+}
+
+/// Gives what is seen of the wire across it, measured, and where each measurement comes from.
+fn measure_outlines(
+    params: &Params,
+    model: &PoseModel,
+    sightings: &[[Option<Sighting>; 2]],
+    usual: &[UsualWidth; 2],
+    search_px: f64,
+    mut each: impl FnMut(Measurement, Origin),
+) {
+    for (k, (station, seen)) in model.stations.iter().zip(sightings).enumerate() {
+        if station.at_joint {
+            continue;
+        }
+        for (side, (seen, usual)) in seen.iter().zip(usual).enumerate() {
+            let Some((sighting, section)) = seen.as_ref().and_then(|s| Some((s, s.section?))) else {
+                continue;
+            };
+            let half_width_px = sighting.half_width_px;
+            if let Some((residual_px, sigma_px)) =
+                usual.middle_of(&section, half_width_px, search_px, params.section_sigma_px)
+            {
+                let shaded = model.straight_along.map(|_| side);
+                each(
+                    Measurement { residual_px, gradient: sighting.gradient, sigma_px, patience: 1.0, shaded },
+                    Origin::Section { station: k, radius_px: half_width_px, lift_px: sighting.lift_px },
+                );
+            }
+        }
+    }
+}
+
+/// The same of the ends, along the wire.
+fn measure_ends(
+    params: &Params,
+    ends: &[[Option<EndSighting>; 2]],
+    mut each: impl FnMut(Measurement, Origin),
+) {
+    for (index, end) in ends.iter().enumerate() {
+        for end in end.iter().flatten() {
+            let Some(residual_px) = end.beyond_px else { continue };
+            each(
+                Measurement {
+                    residual_px,
+                    gradient: end.gradient,
+                    sigma_px: params.end_sigma_px.hypot(end.face_px),
+                    patience: END_PATIENCE,
+                    shaded: None,
+                },
+                Origin::End {
+                    index,
+                    radius_px: end.half_width_px,
+                    lift_px: end.lift_px,
+                    face_px: end.face_px,
+                },
+            );
+        }
     }
 }
 

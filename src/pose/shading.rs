@@ -1,0 +1,37 @@
+//! What light does to the outlines of a wire, and how far that may vary.
+
+/// Standard deviations of what light does to the outlines of a wire, in radii.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shading {
+    /// What the whole part seems displaced across, with the lamp above it.
+    pub across: f64,
+    /// A lamp at one side moves both borders of the lit region that way, so much for each radius that the light between
+    /// them lies beside their middle: 1 to 2 on a matte cylinder, the more the sharper the picture is and the less
+    /// light comes from elsewhere.
+    pub across_per_skew: f64,
+    /// Height above the axis of the line that is seen, between lamps: the whole part seems displaced along the line of
+    /// sight.
+    pub lift: f64,
+    /// Change of the first from one end of a straight piece of wire to the other.
+    pub turn_across: f64,
+    /// Change of the second.
+    pub turn_lift: f64,
+    /// What moves an end outwards in both pictures.
+    pub end: f64,
+    /// Height above the axis of the line that is seen of an end.
+    pub end_lift: f64,
+}
+
+impl Default for Shading {
+    fn default() -> Self {
+        Self {
+            across: 0.025,
+            across_per_skew: 1.5,
+            lift: 0.095,
+            turn_across: 0.035,
+            turn_lift: 0.18,
+            end: 0.035,
+            end_lift: 0.12,
+        }
+    }
+}
