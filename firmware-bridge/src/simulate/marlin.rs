@@ -84,7 +84,8 @@ pub struct MarlinFirmware {
 }
 
 impl MarlinFirmware {
-    /// Switched off, the arm at its park position; it boots at the first call.
+    /// Switched off, the arm at its park position; it boots at the first call. The later build has `ADVANCED_OK` and
+    /// `EMERGENCY_PARSER`.
     pub fn new(park_mm: [f64; 3], faults: Faults) -> Self {
         let noise = Noise::new(faults);
         let mut arm = Mechanics::new(park_mm);
@@ -95,8 +96,8 @@ impl MarlinFirmware {
             arm,
             busy: Busy::Off,
             busy_said_ns: 0,
-            advanced_ok: false,
-            emergency_parser: false,
+            advanced_ok: faults.later_build(),
+            emergency_parser: faults.later_build(),
             cleaning_until_ns: i64::MIN,
             rx: VecDeque::with_capacity(RX_LEN),
             line: Vec::with_capacity(COMMAND_LEN),
@@ -110,11 +111,6 @@ impl MarlinFirmware {
             first_move_ns: None,
             out: VecDeque::with_capacity(512),
         }
-    }
-
-    /// The same built with `ADVANCED_OK` and `EMERGENCY_PARSER`.
-    pub fn with_advanced_ok(park_mm: [f64; 3], faults: Faults) -> Self {
-        Self { advanced_ok: true, emergency_parser: true, ..Self::new(park_mm, faults) }
     }
 
     /// Bytes that arrive.

@@ -251,6 +251,11 @@ impl Faults {
         Self { seed, set: faults.iter().fold(0, |set, &fault| set | 1 << fault as u32) }
     }
 
+    /// Of two builds of a firmware that behave differently, whether it is the later one: with odd seeds.
+    pub fn later_build(&self) -> bool {
+        self.seed % 2 == 1
+    }
+
     /// Whether this fault may happen.
     pub fn has(&self, fault: Fault) -> bool {
         self.set & (1 << fault as u32) != 0

@@ -46,6 +46,8 @@ pub struct UarmFirmware {
     rx: VecDeque<u8>,
     line: Vec<u8>,
     overflow: bool,
+    /// Built since 2019: it says nothing of a reset, and leaves no alarm.
+    silent_reset: bool,
     /// Commands that wait, with their tags.
     commands: VecDeque<(String, String)>,
     query: Option<(String, String)>,
@@ -78,6 +80,7 @@ impl UarmFirmware {
             rx: VecDeque::with_capacity(RX_LEN),
             line: Vec::with_capacity(LINE_LEN),
             overflow: false,
+            silent_reset: faults.later_build(),
             commands: VecDeque::with_capacity(COMMANDS),
             query: None,
             answers: VecDeque::with_capacity(COMMANDS),
@@ -377,13 +380,13 @@ impl UarmFirmware {
     }
 
     fn soft_reset(&mut self, now_ns: i64) {
-        if self.arm.kill(now_ns) {
+        if self.arm.kill(now_ns) && !self.silent_reset {
             self.alarm = true;
             self.say("ALARM: Abort during cycle\r\n");
         }
         self.grip(false, false);
         self.forget();
-        self.say(BANNER);
+        self.say(if self.silent_reset { "ok\n" } else { BANNER });
         self.busy = Busy::Free;
     }
 

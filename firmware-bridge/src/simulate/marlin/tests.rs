@@ -62,7 +62,7 @@ fn numbers_and_checksums_are_looked_at() {
 
 #[test]
 fn m400_waits_and_says_busy() {
-    let mut desk = Desk::new(MarlinFirmware::with_advanced_ok([0.0; 3], Faults::default()));
+    let mut desk = Desk::new(MarlinFirmware::new([0.0; 3], Faults::new(1, &[])));
     desk.say("N0 M110 N0*125\n", 5);
     assert_eq!(desk.say(&numbered(1, "G1 X50 F600"), 5), "ok N1 P14 B4\r\n");
     assert_eq!(desk.say(&numbered(2, "M400"), 3000), "echo:busy: processing\r\n");

@@ -77,6 +77,16 @@ fn a_hold_answers_only_the_status_and_a_reset_forgets_what_moved() {
 }
 
 #[test]
+fn the_later_build_says_nothing_of_a_reset_and_needs_no_unlock() {
+    let uarm = UarmFirmware::new([200.0, 0.0, 150.0], Faults::new(1, &[]));
+    let mut desk = Desk { uarm, now_ns: 0 };
+    desk.wait(1600);
+    desk.say("#1 G0 X150 Y0 Z150 F600\n", 500);
+    assert!(desk.say("\x18", 5).starts_with("ok\n"));
+    assert!(desk.say("?", 1).starts_with("<Idle,MPos:195."));
+}
+
+#[test]
 fn a_delay_keeps_the_next_command_waiting() {
     let mut desk = Desk::new();
     assert_eq!(desk.say("#1 G2004 P200\n#2 M2232 V1\n", 100), "$1 ok\n");
