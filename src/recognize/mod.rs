@@ -110,9 +110,7 @@ impl Recognizer {
         out.parts.clear();
         *out = Recognition { parts: std::mem::take(&mut out.parts), seed, ..Recognition::default() };
         let mut stages = StageTimes::default();
-        for (picture, frame, side) in [(0, &pair.left, Side::Left), (1, &pair.right, Side::Right)] {
-            self.pictures[picture].run(frame, side, &mut stages)?;
-        }
+        self.look(pair, &mut stages)?;
         let nodes = |p: &Picture| p.graph().nodes.len();
         (out.nodes_left, out.nodes_right) = (nodes(&self.pictures[0]), nodes(&self.pictures[1]));
         let seen = Timestamp::now();
@@ -139,6 +137,26 @@ impl Recognizer {
         stages.total_ns = end.since(begin).max(0) as u64;
         out.stages = stages;
         Ok(())
+    }
+
+    /// Takes both pictures through their stages.
+    fn look(&mut self, pair: &FramePair, stages: &mut StageTimes) -> Result<(), Refusal> {
+        let [left, right] = &mut self.pictures;
+        if self.params.threads < 2 {
+            left.run(&pair.left, Side::Left, stages)?;
+            return right.run(&pair.right, Side::Right, stages);
+        }
+        let mut of_right = StageTimes::default();
+        let (left, right) = std::thread::scope(|scope| {
+            let right = scope.spawn(|| right.run(&pair.right, Side::Right, &mut of_right));
+            let left = left.run(&pair.left, Side::Left, stages);
+            (left, right.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
+        });
+        stages.decode_ns += of_right.decode_ns;
+        stages.binarize_ns += of_right.binarize_ns;
+        stages.thin_ns += of_right.thin_ns;
+        stages.graph_ns += of_right.graph_ns;
+        left.and(right)
     }
 
     /// Fills the pool with rough poses of all parts, fittest first: those of matches, and those that single nodes hold

@@ -145,7 +145,8 @@ pub struct FoundPart {
     pub clear: f64,
 }
 
-/// Wall time of each stage in nanoseconds, both pictures together.
+/// Time of each stage in nanoseconds, the sum of both pictures; `total_ns` is from beginning to end, whatever the number of
+/// threads.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StageTimes {
     /// Decompression.

@@ -92,7 +92,7 @@ pub struct RecognizeArgs {
     /// Seed of all randomness [default: 1]
     #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = seed, help_heading = "Search")]
     pub seed: Option<u64>,
-    /// Threads for the two pictures of a pair; with 2 they are still worked on one after the other [default: 1]
+    /// Threads for the two pictures of a pair: with 2 they are worked on at the same time [default: 1]
     #[arg(long, value_name = "1|2", value_parser = clap::value_parser!(u8).range(1..=2), help_heading = "Search")]
     pub threads: Option<u8>,
     /// Recognise every pair so many times and give p50 and p99 of every stage

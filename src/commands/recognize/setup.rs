@@ -131,6 +131,9 @@ fn params(args: &RecognizeArgs, cell: Option<&Cell>) -> Params {
     if let Some(gate) = args.gate {
         params.gate.mode = Gate::from(gate).into();
     }
+    if let Some(threads) = args.threads {
+        params.threads = threads;
+    }
     params
 }
 
