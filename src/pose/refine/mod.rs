@@ -33,7 +33,7 @@ const STATIONS_MAX: usize = 1024;
 /// Every so many stations are looked at while the pose is rough.
 const COARSE_STRIDE: usize = 3;
 /// See [`Measurement::patience`].
-const END_PATIENCE: f64 = 4.0;
+const END_PATIENCE: f64 = 1.5;
 /// How far the outlines are looked for at first and later, and the residuals at which belief has halved, in pixels.
 const FINE_FIRST: (f64, [f64; 4]) = (2.5, [1.5, 3.5 / 3.0, 2.5 / 3.0, 0.5]);
 const FINE_NEXT: (f64, [f64; 4]) = (1.5, [0.7, 1.9 / 3.0, 1.7 / 3.0, 0.5]);
