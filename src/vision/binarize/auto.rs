@@ -5,6 +5,9 @@
 //! gradients, glare and the shadows of the bin's walls. What counts is then the contrast `(luma + 16) /
 //! (background + 16)`, which a change of the light leaves alone; the 16 keeps noise in the dark small.
 //!
+//! Where parts lie so dense that the square sees no floor, what the opening gives is parts: brighter than most of the
+//! background, and uneven. There the background is taken from around.
+//!
 //! From the histogram of the contrasts inside the region come the spread of the background (median and 16th
 //! percentile) and the contrast of the parts (its upper end). Without clearly brighter samples nothing is object.
 //! Else the threshold lies a third of the way from background to parts, and a quarter of the way near samples that
@@ -25,8 +28,16 @@ const OFFSET: u16 = 16;
 const CONTRAST_STEPS: f32 = 32.0;
 /// Least contrast of parts. A bin's rim beside its dark wall reaches 1.9.
 const CONTRAST_MIN: f32 = 2.0;
+/// Contrast from which on a background against the median one may be dense parts, and contrast that their samples then
+/// have among each other at least; a brighter table or glare is more even. Where it is floor beside a single part after all,
+/// the floor around is as bright, and nothing is lost.
+const DENSE_MIN: f32 = 1.5;
+const UNEVEN_MIN: f32 = 1.8;
 /// The contrast of the parts is what one sample in so many reaches; a rod is at least as much of the picture.
 const SAMPLES_PER_PART: usize = 800;
+/// That contrast is at most so many times the median one of what stands out, both less 1: parts above the shadow of others
+/// are no brighter than on bare floor.
+const BRIGHTEST_MAX: f32 = 1.8;
 /// The threshold is at least so many standard deviations above the median contrast of the background.
 const SIGMAS: f32 = 6.0;
 /// Least standard deviation of the background's contrast: half of a step.
@@ -200,6 +211,7 @@ fn thresholds_for<const DARK: bool>(grid: &mut Grid) -> bool {
     grid::pad(&grid.level, &mut grid.background, rows, columns, pitch);
     grid::slide::<DARK>(&mut grid.background, pitch);
     grid::slide_back::<DARK>(&mut grid.background, pitch);
+    see_through::<DARK>(grid);
     contrasts::<DARK>(grid);
     let Some(found) = grid.contrasts() else { return false };
     mark_strong::<DARK>(grid, found.strong);
@@ -207,6 +219,72 @@ fn thresholds_for<const DARK: bool>(grid: &mut Grid) -> bool {
     write_thresholds::<DARK>(grid, found);
     true
 }
+
+/// Takes the background of samples that lie among dense parts from those around.
+#[inline(always)]
+fn see_through<const DARK: bool>(grid: &mut Grid) {
+    let (rows, columns, pitch) = (grid.rows, grid.columns, grid.pitch);
+    for y in 0..rows {
+        let row = y * columns..(y + 1) * columns;
+        let samples = grid.background[y * pitch..][..columns].iter().zip(&grid.region[row.clone()]);
+        for (out, (&background, &inside)) in grid.contrast[row].iter_mut().zip(samples) {
+            *out = background & inside;
+        }
+    }
+    if grid.inside == 0 {
+        return;
+    }
+    let outside = grid.contrast.len() - grid.inside;
+    let median = grid::ranked(&grid.contrast, outside + grid.inside / 2);
+    let beyond = |level: u8, limit: u8| if DARK { level < limit } else { level > limit };
+    let like_parts = level_at::<DARK>(median, factor::<DARK>(DENSE_MIN));
+    if !grid.contrast.iter().zip(&grid.region).any(|(&b, &inside)| inside != 0 && beyond(b, like_parts)) {
+        return;
+    }
+    // The brightest (or darkest) samples of the squares.
+    grid.strong.fill(if DARK { 255 } else { 0 });
+    for y in 0..rows {
+        let out = &mut grid.strong[(y + MARGIN / 2) * pitch + MARGIN / 2..][..columns];
+        out.copy_from_slice(&grid.level[y * pitch..][..columns]);
+    }
+    grid::slide_back::<DARK>(&mut grid.strong, pitch);
+    let uneven = factor::<DARK>(UNEVEN_MIN);
+    for y in 0..rows {
+        for x in 0..columns {
+            let (background, most) = (grid.background[y * pitch + x], grid.strong[y * pitch + x]);
+            let dense = beyond(background, like_parts) && beyond(most, level_at::<DARK>(background, uneven));
+            grid.contrast[y * columns + x] = if dense { UNKNOWN } else { KNOWN };
+        }
+    }
+    // From the border of what is unknown inwards.
+    let mut changed = true;
+    while changed {
+        changed = false;
+        for y in 0..rows {
+            for x in 0..columns {
+                if grid.contrast[y * columns + x] != UNKNOWN {
+                    continue;
+                }
+                let around = (y.saturating_sub(1)..(y + 2).min(rows))
+                    .flat_map(|v| (x.saturating_sub(1)..(x + 2).min(columns)).map(move |u| (u, v)))
+                    .filter(|&(u, v)| grid.contrast[v * columns + u] == KNOWN)
+                    .map(|(u, v)| grid.background[v * pitch + u]);
+                if let Some(floor) = if DARK { around.max() } else { around.min() } {
+                    grid.background[y * pitch + x] = floor;
+                    grid.contrast[y * columns + x] = NEWS;
+                    changed = true;
+                }
+            }
+        }
+        grid.contrast.iter_mut().filter(|c| **c == NEWS).for_each(|c| *c = KNOWN);
+    }
+}
+
+/// What is known of a sample's background.
+const KNOWN: u8 = 0;
+const UNKNOWN: u8 = 1;
+/// Known since this round.
+const NEWS: u8 = 2;
 
 /// Contrast of every sample.
 #[inline(always)]
@@ -247,9 +325,13 @@ impl Grid {
         let sigma = (median - at(self.inside * 16 / 100)).max(SIGMA_MIN);
         let parts = at(self.inside - 1 - self.inside / SAMPLES_PER_PART);
         let least = median + SIGMAS * sigma;
-        if parts < CONTRAST_MIN.max(least) {
+        let standing_out = CONTRAST_MIN.max(least);
+        if parts < standing_out {
             return None;
         }
+        let dimmer = contrast.iter().filter(|&&c| f32::from(c) < standing_out * CONTRAST_STEPS).count();
+        let usual = at(dimmer - outside + (contrast.len() - dimmer) / 2);
+        let parts = parts.min(1.0 + BRIGHTEST_MAX * (usual - 1.0));
         let way = |share: f32| (1.0 + share * (parts - 1.0)).max(least);
         Some(Contrasts { near: way(NEAR), elsewhere: way(ELSEWHERE), strong: way(STRONG) })
     }
