@@ -272,3 +272,74 @@ fn take_end(nodes: &[ImageNode], at: &Vector2<f64>, taken: &mut [bool]) {
         taken[n] = true;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::frame::FramePair;
+    use crate::part::Part;
+    use crate::recognize::{Params, Recognition, Recognizer};
+    use crate::session::read_picture;
+
+    /// What a pair of the recorded session, ten rods over each other, made the recogniser know.
+    fn after_a_pair() -> Recognizer {
+        let replay = Path::new(env!("CARGO_MANIFEST_DIR")).join("replay");
+        let picture =
+            |side: &str| read_picture(&replay.join("conveyor").join(side).join("0000.jpg")).unwrap();
+        let pair = FramePair { left: picture("left"), right: picture("right") };
+        let rig = Rig::read(replay.join("conveyor/calibration.yaml")).unwrap();
+        let part = Part::read(replay.join("parts/rod-90.toml")).unwrap();
+        let mut recognizer = Recognizer::new(Params::default(), rig, vec![part]).unwrap();
+        recognizer.run(&pair, Budget::Iterations(100_000), 1, &mut Recognition::default()).unwrap();
+        recognizer
+    }
+
+    /// The competition with every worth asked again each time.
+    fn compete_slowly(
+        explanations: &mut Explanations,
+        parts: &[Prepared],
+        params: &select::Params,
+    ) -> Vec<usize> {
+        explanations.claims.iter_mut().for_each(ClaimMap::clear);
+        let mut standing = Vec::new();
+        loop {
+            let most = (0..explanations.count)
+                .filter(|i| !standing.contains(i))
+                .map(|i| (i, explanations.list[i].worth(parts, params, &explanations.claims).now_mm))
+                .max_by(|a, b| a.1.total_cmp(&b.1));
+            let Some((index, _)) = most.filter(|(_, worth_mm)| *worth_mm > 0.0) else { return standing };
+            explanations.claim(index);
+            standing.push(index);
+        }
+    }
+
+    #[test]
+    fn the_competition_ends_as_if_every_worth_were_asked_again_each_time() {
+        let Recognizer { mut explanations, parts, params, .. } = after_a_pair();
+        let expected: Vec<_> = compete_slowly(&mut explanations, &parts, &params.select)
+            .into_iter()
+            .map(|i| explanations.list[i].fit.left_from_part)
+            .collect();
+        let mut found = Vec::new();
+        explanations.compete(&parts, &params.select, |e, _| {
+            found.push(e.fit.left_from_part);
+            true
+        });
+        assert_eq!(found, expected);
+        assert_eq!(found.len(), 10);
+        assert!(explanations.count > 10, "others were refused");
+    }
+
+    #[test]
+    fn no_more_stand_than_are_asked_for() {
+        let Recognizer { mut explanations, parts, params, .. } = after_a_pair();
+        let mut count = 0;
+        explanations.compete(&parts, &params.select, |_, _| {
+            count += 1;
+            count < 3
+        });
+        assert_eq!(count, 3);
+    }
+}

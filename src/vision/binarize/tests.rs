@@ -315,3 +315,40 @@ fn formats_differ_only_where_chroma_is_shared_across_an_edge() {
         }
     }
 }
+
+/// Parts 6 pixels wide with 2 pixels of shaded flank between them, over more of the floor than the background is looked
+/// for in, and one that lies alone.
+#[test]
+fn floor_that_a_heap_hides_is_known_from_around() {
+    let (w, h) = (320, 240);
+    for dark in [false, true] {
+        let level = |x: usize, y: usize| match (x, y) {
+            (100..=219, 60..=179) => {
+                if x % 8 < 6 {
+                    190
+                } else {
+                    95
+                }
+            }
+            (20..=25, 60..=179) => 190,
+            _ => 40,
+        };
+        let bytes =
+            (0..w * h).map(|i| level(i % w, i / w)).map(|v: u8| if dark { 230 - v } else { v }).collect();
+        let frame = Frame {
+            bytes,
+            format: PixelFormat::Grey,
+            width: w,
+            height: h,
+            stride_bytes: w,
+            ..Frame::default()
+        };
+        let params = Params { colour: ColourRange::Auto, inverted: dark, ..Params::default() };
+        for &by in Level::available() {
+            let bits = run(&params, by, &frame);
+            let object = |x: usize| (70..170).all(|y| bits.get(x as i32, y));
+            assert!((102..218).filter(|x| x % 8 < 6).all(object), "{by:?}, dark: {dark}");
+            assert!((20..26).all(object) && !object(60) && !object(260), "{by:?}, dark: {dark}");
+        }
+    }
+}
