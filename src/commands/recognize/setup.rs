@@ -131,9 +131,8 @@ fn params(args: &RecognizeArgs, cell: Option<&Cell>) -> Params {
     if let Some(gate) = args.gate {
         params.gate.mode = Gate::from(gate).into();
     }
-    if let Some(threads) = args.threads {
-        params.threads = threads;
-    }
+    let of_cell = cell.map(|cell| cell.recognition.threads as u8);
+    params.threads = args.threads.or(of_cell).unwrap_or(1);
     params
 }
 

@@ -35,7 +35,7 @@ pub struct RunArgs {
     #[arg(long, value_enum, default_value_t = Format::Text)]
     pub format: Format,
     /// Endurance test: repeat the recorded session until so many pairs were played, print no lines, fail (exit
-    /// code 1) on a missed deadline or growing memory
+    /// code 1) on a missed deadline or growing memory. Where the cell sets no deadline, it is one period of --rate
     #[arg(long, value_name = "PAIRS", value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
     pub soak: Option<u64>,
     /// Decode the JPEG pictures of a recorded session beforehand, as cameras without compression deliver them

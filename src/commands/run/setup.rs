@@ -81,6 +81,10 @@ impl Setup {
         if args.soak.is_some() {
             // Nobody empties the tray of a soak.
             cell.place = None;
+            // One period, not two: pairs must not even overlap.
+            if let Rate::Hz(hz) = args.rate {
+                cell.deadline.get_or_insert(Duration::from_secs_f64(1.0 / hz));
+            }
         }
         let simulated = cell.arm_side.arm.link == LinkName::Replay;
         let record = cell.place.as_ref().map(|place| place_record(place, simulated)).transpose()?;

@@ -223,7 +223,18 @@ fn thresholds_for<const DARK: bool>(grid: &mut Grid) -> bool {
 /// Takes the background of samples that lie among dense parts from those around.
 #[inline(always)]
 fn see_through<const DARK: bool>(grid: &mut Grid) {
+    if mark_unknown::<DARK>(grid) {
+        fill_inwards::<DARK>(grid);
+    }
+}
+
+/// Marks in `contrast` the samples whose background may be that of parts; says whether there may be any.
+#[inline(always)]
+fn mark_unknown<const DARK: bool>(grid: &mut Grid) -> bool {
     let (rows, columns, pitch) = (grid.rows, grid.columns, grid.pitch);
+    if grid.inside == 0 {
+        return false;
+    }
     for y in 0..rows {
         let row = y * columns..(y + 1) * columns;
         let samples = grid.background[y * pitch..][..columns].iter().zip(&grid.region[row.clone()]);
@@ -231,15 +242,12 @@ fn see_through<const DARK: bool>(grid: &mut Grid) {
             *out = background & inside;
         }
     }
-    if grid.inside == 0 {
-        return;
-    }
     let outside = grid.contrast.len() - grid.inside;
     let median = grid::ranked(&grid.contrast, outside + grid.inside / 2);
     let beyond = |level: u8, limit: u8| if DARK { level < limit } else { level > limit };
     let like_parts = level_at::<DARK>(median, factor::<DARK>(DENSE_MIN));
     if !grid.contrast.iter().zip(&grid.region).any(|(&b, &inside)| inside != 0 && beyond(b, like_parts)) {
-        return;
+        return false;
     }
     // The brightest (or darkest) samples of the squares.
     grid.strong.fill(if DARK { 255 } else { 0 });
@@ -256,24 +264,28 @@ fn see_through<const DARK: bool>(grid: &mut Grid) {
             grid.contrast[y * columns + x] = if dense { UNKNOWN } else { KNOWN };
         }
     }
-    // From the border of what is unknown inwards.
+    true
+}
+
+/// Gives samples marked as unknown the background of known neighbours, from the border inwards.
+#[inline(always)]
+fn fill_inwards<const DARK: bool>(grid: &mut Grid) {
+    let (rows, columns, pitch) = (grid.rows, grid.columns, grid.pitch);
     let mut changed = true;
     while changed {
         changed = false;
-        for y in 0..rows {
-            for x in 0..columns {
-                if grid.contrast[y * columns + x] != UNKNOWN {
-                    continue;
-                }
-                let around = (y.saturating_sub(1)..(y + 2).min(rows))
-                    .flat_map(|v| (x.saturating_sub(1)..(x + 2).min(columns)).map(move |u| (u, v)))
-                    .filter(|&(u, v)| grid.contrast[v * columns + u] == KNOWN)
-                    .map(|(u, v)| grid.background[v * pitch + u]);
-                if let Some(floor) = if DARK { around.max() } else { around.min() } {
-                    grid.background[y * pitch + x] = floor;
-                    grid.contrast[y * columns + x] = NEWS;
-                    changed = true;
-                }
+        for (y, x) in (0..rows).flat_map(|y| (0..columns).map(move |x| (y, x))) {
+            if grid.contrast[y * columns + x] != UNKNOWN {
+                continue;
+            }
+            let around = (y.saturating_sub(1)..(y + 2).min(rows))
+                .flat_map(|v| (x.saturating_sub(1)..(x + 2).min(columns)).map(move |u| (u, v)))
+                .filter(|&(u, v)| grid.contrast[v * columns + u] == KNOWN)
+                .map(|(u, v)| grid.background[v * pitch + u]);
+            if let Some(floor) = if DARK { around.max() } else { around.min() } {
+                grid.background[y * pitch + x] = floor;
+                grid.contrast[y * columns + x] = NEWS;
+                changed = true;
             }
         }
         grid.contrast.iter_mut().filter(|c| **c == NEWS).for_each(|c| *c = KNOWN);
