@@ -71,8 +71,8 @@ enum Stage {
 #[derive(Clone, Copy, Debug)]
 struct Current {
     pick: Pick,
-    /// Something of it is on the wire (a question, a line before its first move): from then on its time to live
-    /// counts, not the deadline of the target's bytes.
+    /// A line of it before its first move is on the wire: from then on its time to live counts, not the deadline of the
+    /// target's bytes.
     sent: bool,
     /// The bytes of its first move were made.
     begun: bool,
@@ -292,7 +292,7 @@ impl<W: Wire> Driver<W> {
             }
         }
         self.last_sequence = Some(pick.sequence);
-        self.current = Some(Current { pick, sent: W::CHECKS_REACH, begun: false, accepted: false });
+        self.current = Some(Current { pick, sent: false, begun: false, accepted: false });
         self.phase = Phase::Working;
         self.begin_list(List::Pick);
         self.deadline_ns = Some(now_ns + self.pick_timeout_ns);

@@ -10,6 +10,9 @@ use crate::message::{Failure, HeldBy, Outcome, Pick, Refusal, Report, Waypoint};
 
 /// Number, checksum and end that a wire puts around a line, bytes.
 const FRAME_LEN: usize = 16;
+/// A controller that is asked whether it reaches the poses of a pick may begin it this much after the deadline of the
+/// target's bytes: the questions carry the target, and are within the deadline. An answer that got lost takes longer.
+const REACH_MS: u32 = 100;
 
 #[allow(private_bounds)]
 impl<W: Wire> Driver<W> {
@@ -196,6 +199,8 @@ impl<W: Wire> Driver<W> {
             pick.ttl_ms = u32::try_from((self.expires_ns(&pick) - pick.seen.earliest_ns()) / MS).unwrap_or(0);
             if current.sent {
                 pick.deadline_ms = pick.ttl_ms;
+            } else if W::CHECKS_REACH {
+                pick.deadline_ms = pick.deadline_ms.saturating_add(REACH_MS).min(pick.ttl_ms);
             }
             let written_ns = now_ns.saturating_add(self.on_the_wire_ns(len));
             self.gate.check(&pick, written_ns, self.not_before_ns)?;
