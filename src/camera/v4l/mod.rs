@@ -80,7 +80,24 @@ impl V4lCamera {
     /// # Errors
     /// What is in the way, with what to do about it.
     pub fn open(settings: CameraSettings) -> Result<Self, CameraError> {
-        let stream = Stream::open(&settings)?;
+        V4lCamera::open_within(settings, Duration::ZERO)
+    }
+
+    /// Like [`open`](V4lCamera::open), but waits at most `patience` for a device that is not there: at boot USB
+    /// cameras come after the services, and udev takes a link away for a moment when it makes it anew.
+    ///
+    /// # Errors
+    /// What is in the way, with what to do about it; at once, unless it is [`CameraError::Absent`].
+    pub fn open_within(settings: CameraSettings, patience: Duration) -> Result<Self, CameraError> {
+        let until = Timestamp::now().after(patience);
+        let stream = loop {
+            match Stream::open(&settings) {
+                Err(CameraError::Absent { .. }) if Timestamp::now() < until => {
+                    std::thread::sleep(REOPEN_PAUSE.0)
+                }
+                opened => break opened?,
+            }
+        };
         Ok(V4lCamera {
             settings,
             stream: Some(stream),
@@ -361,6 +378,25 @@ mod tests {
             complaint("/dev/null"),
             "/dev/null is not a camera: it is no V4L2 device; take the path of one from `pickcell devices`"
         );
+    }
+
+    #[test]
+    fn a_camera_that_comes_late_is_waited_for_and_no_other() {
+        let folder = std::env::temp_dir().join(format!("pickcell-late-camera-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).expect("a folder");
+        let link = folder.join("camera");
+        let late = link.clone();
+        let plugs_in = std::thread::spawn(move || {
+            std::thread::sleep(Duration::from_millis(250));
+            std::os::unix::fs::symlink("/dev/null", late).expect("a link");
+        });
+        let asked = settings(&link.to_string_lossy());
+        let fault = V4lCamera::open_within(asked.clone(), Duration::from_secs(60)).expect_err("no camera");
+        plugs_in.join().expect("plugged in");
+        assert!(matches!(fault, CameraError::NotACamera { .. }), "{fault}");
+        std::fs::remove_dir_all(&folder).expect("removed");
+        let fault = V4lCamera::open_within(asked, Duration::from_millis(150)).expect_err("no camera");
+        assert!(matches!(fault, CameraError::Absent { .. }), "{fault}");
     }
 
     #[test]

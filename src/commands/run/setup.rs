@@ -29,6 +29,8 @@ use crate::time::Timestamp;
 const FAST_ITERATIONS: u64 = 1_000_000;
 /// Pairs of a recorded session that may wait for their overlay pictures.
 const OVERLAY_FILES_MAX: usize = 64;
+/// A camera that is not there at the start may still come for so long.
+const CAMERA_PATIENCE: Duration = Duration::from_secs(5);
 /// A camera that gives nothing for so long is silent, unless three of its periods are longer.
 const SILENCE: Duration = Duration::from_millis(800);
 /// How long a part is left alone whose targets failed.
@@ -182,7 +184,8 @@ fn live(cell: &Cell) -> Result<Eyes, RunError> {
         unreachable!("a cell with live cameras has both: config checks it")
     };
     let open = |side: &'static str, settings: &config::CameraSettings| {
-        V4lCamera::open(settings.clone()).map_err(|reason| RunError::Camera { side, reason })
+        V4lCamera::open_within(settings.clone(), CAMERA_PATIENCE)
+            .map_err(|reason| RunError::Camera { side, reason })
     };
     let opened = [open("left", left)?, open("right", right)?];
     let frame_bytes = opened.iter().map(V4lCamera::frame_bytes_max).max().unwrap_or(0);
