@@ -115,7 +115,7 @@ pub struct Recognition {
     /// A candidate with a higher fitness is no part. `None`: the recogniser's own threshold.
     pub fitness_max: Option<f64>,
     /// Threads that `recognize` works on the two pictures with, 1 or 2; a running cell uses one.
-    pub threads: usize,
+    pub threads: u8,
 }
 
 #[derive(Debug, Deserialize)]
@@ -177,10 +177,11 @@ impl Written {
         if self.iterations == Some(0) {
             return Err(source.refuse("recognition.iterations", 0, "a whole number from 1"));
         }
-        let threads = self.threads.unwrap_or(1);
-        if !(1..=2).contains(&threads) {
-            return Err(source.refuse("recognition.threads", threads, "1 or 2"));
-        }
+        let threads = match self.threads {
+            None | Some(1) => 1,
+            Some(2) => 2,
+            Some(other) => return Err(source.refuse("recognition.threads", other, "1 or 2")),
+        };
         Ok(Recognition {
             parts,
             colour,

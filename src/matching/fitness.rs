@@ -249,8 +249,8 @@ impl Judge<'_> {
         sum
     }
 
-    /// How many of the `2 * span.looks` pixels on the straight line between two nodes are background; counted no
-    /// further than one beyond `enough`.
+    /// How many of the `2 * span.looks` pixels on the straight line between two nodes are background; once they
+    /// are more than `enough`, how many more does not matter.
     pub(super) fn missing(&self, span: &Span, a: &Candidate, b: &Candidate, enough: u32) -> u32 {
         let middle = [0, 1, 2].map(|k| (a.point_mm[k] + b.point_mm[k]) as f64 / 2.0);
         let middle = self.project(&Point3::from(middle));
@@ -334,8 +334,8 @@ fn apart_px(a: [f32; 2], b: [f32; 2]) -> f32 {
     (x * x + y * y).sqrt()
 }
 
-/// Background among `looks` evenly spaced pixels of the parabola through both ends and the middle; counted no further
-/// than one beyond `enough`.
+/// Background among `looks` evenly spaced pixels of the parabola through both ends and the middle; once they are more
+/// than `enough`, how many more does not matter.
 #[inline]
 fn missing_on(
     mask: &BitImage,

@@ -187,23 +187,21 @@ pub fn is_certain(fit: &Fit, verdict: &Verdict, ends: usize) -> bool {
 
 /// Whether nothing speaks against an explanation, though not all of it may be seen.
 pub fn is_sound(fit: &Fit, verdict: &Verdict) -> bool {
-    verdict.ends_seen >= 2
-        && verdict.end_offset_px < 1.0
-        && verdict.missing.iter().all(|m| *m < 0.02)
-        && verdict.overrun_mm == 0.0
-        && verdict.offset_px < 0.4
-        && fit.misfit < 1.5
+    verdict.ends_seen >= 2 && verdict.offset_px < 0.4 && fits(fit, verdict)
 }
 
 /// Whether an explanation is held along its wire: both pictures see an end of it where it should be, all its wire is
 /// there and none beyond. The same part can then lie nowhere else on this wire: it would reach beyond the seen end, or stop
 /// in the middle of wire.
 pub fn is_anchored(fit: &Fit, verdict: &Verdict) -> bool {
-    verdict.ends_in_both > 0
-        && verdict.end_offset_px < 1.0
+    verdict.ends_in_both > 0 && verdict.offset_px < 0.6 && fits(fit, verdict)
+}
+
+/// Whether ends that are seen are where they should be, all wire is there, and none goes on.
+fn fits(fit: &Fit, verdict: &Verdict) -> bool {
+    verdict.end_offset_px < 1.0
         && verdict.missing.iter().all(|m| *m < 0.02)
         && verdict.overrun_mm == 0.0
-        && verdict.offset_px < 0.6
         && fit.misfit < 1.5
 }
 

@@ -8,7 +8,6 @@ use super::explanations::{Explanation, SAME_END_PX};
 use super::prepared::Prepared;
 use super::result::{FoundNode, FoundPart, Seen};
 use super::spread::{displaced_by_lamp, sigmas};
-use super::views::lit;
 use crate::grasp;
 use crate::matching::nodes::NodeRole;
 use crate::matching::select;
@@ -17,8 +16,8 @@ use crate::picture::Picture;
 use crate::pose::refine::{Refine, View};
 use crate::rig::Rig;
 
-#[expect(clippy::too_many_arguments)]
 /// The part that an explanation is.
+#[expect(clippy::too_many_arguments)]
 pub(super) fn found(
     params: &Params,
     rig: &Rig,
@@ -33,7 +32,7 @@ pub(super) fn found(
     let placed = prepared.placed(&pose, 0.0);
     let grasp = grasp::grasp_of(&params.grasp, &placed);
     let covariance = refine.covariance(&prepared.pose_model, &e.fit, views);
-    let per_skew = lit(params).shading.across_per_skew;
+    let per_skew = refine.shading().across_per_skew;
     let beside = displaced_by_lamp(per_skew, prepared.pose_model.radius_mm, &e.verdict, views);
     let (sigma_mm, sigma_axis_rad) = sigmas(&params.grasp, prepared, &pose, &covariance, &beside);
     let sees = |side: usize, px: &Vector2<f64>| {

@@ -8,8 +8,9 @@ use crate::pose::refine::View;
 use crate::pose::verify::{Sight, Verdict};
 
 /// Standard deviations of the grasp's position (along the output frame's axes) and the root mean square angle between
-/// the wire's direction there and the true one. `covariance` is that of [`Refine::covariance`](crate::pose::refine::Refine::covariance), `beside` how far the lamp may have displaced the part, in mm of the
-/// left camera's frame.
+/// the wire's direction there and the true one. `covariance` is that of
+/// [`Refine::covariance`](crate::pose::refine::Refine::covariance), `beside` how far the lamp may have displaced the part,
+/// in mm of the left camera's frame.
 pub(super) fn sigmas(
     params: &grasp::Params,
     prepared: &Prepared,

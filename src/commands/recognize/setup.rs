@@ -131,8 +131,8 @@ fn params(args: &RecognizeArgs, cell: Option<&Cell>) -> Params {
     if let Some(gate) = args.gate {
         params.gate.mode = Gate::from(gate).into();
     }
-    let of_cell = cell.map(|cell| cell.recognition.threads as u8);
-    params.threads = args.threads.or(of_cell).unwrap_or(1);
+    let of_cell = cell.map(|cell| cell.recognition.threads);
+    params.threads = args.threads.or(of_cell).unwrap_or(params.threads);
     params
 }
 

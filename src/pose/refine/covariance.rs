@@ -9,8 +9,8 @@
 
 use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, Vector3};
 
-use super::equations::{Doubt, Measurement, START_SIGMA};
-use super::{FINE_NEXT, Fit, Refine, Shading, View, measure_ends, measure_outlines};
+use super::equations::{Doubt, MEASUREMENTS_MAX, Measurement, START_SIGMA};
+use super::{FINE_NEXT, Fit, Refine, Shading, View};
 use crate::pose::model::PoseModel;
 
 type Unknowns = SVector<f64, 8>;
@@ -53,17 +53,18 @@ impl Refine {
     pub fn covariance(&mut self, model: &PoseModel, fit: &Fit, views: &[View; 2]) -> Matrix6<f64> {
         let pose = &fit.left_from_part;
         let (search_px, scales_px) = FINE_NEXT;
+        let scale = scales_px[3] / self.params.section_sigma_px;
         self.look(model, pose, views, search_px);
-        self.observe_outlines(model, search_px);
-        let usual = [0, 1].map(|side| self.usual_width(model, side));
-        let Self { observations, sightings, ends, params, eye, equations, .. } = self;
-        let scale = scales_px[3] / params.section_sigma_px;
+        let mut observations = std::mem::take(&mut self.observations);
         observations.clear();
-        let mut note = |measurement: Measurement, origin| {
-            observations.push(Observation { weight: measurement.weight(scale), measurement, origin });
-        };
-        measure_outlines(params, model, sightings, &usual, search_px, &mut note);
-        measure_ends(params, ends, &mut note);
+        self.observe_outlines(model, search_px, |measurement, origin| {
+            // As many as the equations have room for.
+            if observations.len() < MEASUREMENTS_MAX {
+                observations.push(Observation { weight: measurement.weight(scale), measurement, origin });
+            }
+        });
+        self.observations = observations;
+        let Self { observations, params, eye, equations, .. } = self;
         let solution = equations.solve(&Doubt {
             scales: &[scale],
             shading_sigma_px: params.shading_sigma_px,

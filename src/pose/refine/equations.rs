@@ -8,7 +8,7 @@ use nalgebra::{Cholesky, Const, SMatrix, SVector, Vector3, Vector6};
 use crate::vision::level::Level;
 
 /// Most measurements of one fit.
-const MEASUREMENTS_MAX: usize = 1024;
+pub(super) const MEASUREMENTS_MAX: usize = 1024;
 /// Measurements of a block.
 const LANES: usize = 8;
 /// Displacement and rotation of the part, then the offset of all sections in each picture.
@@ -61,7 +61,7 @@ const EMPTY: Block = Block {
     by_patience: [1.0; LANES],
 };
 
-/// How far a solution may go before it must look at the pictures again, and how it doubts.
+/// How much a solution doubts its measurements, and what it knows besides.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Doubt<'a> {
     /// Residual at which the belief in a section has halved, in its standard deviations, in each round of reweighting.

@@ -12,12 +12,14 @@
 
 mod covariance;
 mod equations;
+mod params;
 
 use arrayvec::ArrayVec;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, Vector2, Vector3, Vector6};
 
 use covariance::Origin;
-use equations::{Doubt, Equations, Measurement, Solution};
+use equations::{Doubt, Equations, MEASUREMENTS_MAX, Measurement, Solution};
+pub use params::Params;
 
 use super::aim::{aim, end_is_bare, mask_beyond_px, up};
 use super::model::PoseModel;
@@ -39,74 +41,6 @@ const FINE_FIRST: (f64, [f64; 4]) = (2.5, [1.5, 3.5 / 3.0, 2.5 / 3.0, 0.5]);
 const FINE_NEXT: (f64, [f64; 4]) = (1.5, [0.7, 1.9 / 3.0, 1.7 / 3.0, 0.5]);
 /// A pose that moved the wire by less than this in the pictures need not be looked at again.
 const SETTLED_PX: f64 = 0.7;
-
-/// How a pose is refined.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Params {
-    /// Height of the point that the middle of the outline shows above the wire's axis, in radii, 0 to 1.
-    pub lift_radii: f64,
-    /// Width of the outline over the wire's diameter where only one side is seen.
-    pub outline_ratio: f64,
-    /// Standard deviation of a section's middle, in pixels.
-    pub section_sigma_px: f64,
-    /// Standard deviation of what shading moves all sections of a straight wire alike in one picture, in pixels.
-    pub shading_sigma_px: f64,
-    /// What else the light does to the outlines.
-    pub shading: Shading,
-    /// Standard deviation of an end, in pixels.
-    pub end_sigma_px: f64,
-    /// The same for the outline of an end that leans up or away, whose face is not seen: where the lit upper side
-    /// stops. Then for one of which the face is seen, and as light as the wire: the lower rim.
-    pub end_lift_radii: [f64; 2],
-    /// Whether faces always are as light or dark as the wire, as those of dark parts are. Else light comes from above.
-    pub faces_like_wire: bool,
-    /// How far beyond the seen outline of an end the wire reaches, in radii.
-    pub end_reach_radii: f64,
-    /// Rounds with the binary picture, from the rough pose on.
-    pub coarse_rounds: u32,
-    /// Rounds with the grey values, at most.
-    pub fine_rounds: u32,
-    /// Share of background along the wire up to which a rough pose is refined of which no end is seen: nothing would
-    /// move it along the wire any more. Twice what [a part may have](crate::matching::select::Params::missing_max).
-    pub missing_max: f64,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        Self {
-            lift_radii: 0.36,
-            outline_ratio: 0.85,
-            section_sigma_px: 0.15,
-            shading_sigma_px: 0.01,
-            shading: Shading::default(),
-            end_sigma_px: 0.14,
-            end_lift_radii: [0.6, -0.93],
-            faces_like_wire: false,
-            end_reach_radii: 0.03,
-            coarse_rounds: 2,
-            fine_rounds: 3,
-            missing_max: 0.16,
-        }
-    }
-}
-
-impl Params {
-    /// Height above the axis of what is seen of an end that leans up by an angle with this sine, and its standard
-    /// deviation, in radii. The light from above that the face gets is `lean_sin` of what the wire gets; whether it
-    /// looks like wire or like floor depends on where exactly the lamp is.
-    fn end_lift(&self, lean_sin: f64, sees_face: bool) -> (f64, f64) {
-        let [upper, lower] = self.end_lift_radii;
-        if !sees_face {
-            (upper, 0.0)
-        } else if self.faces_like_wire {
-            (lower, 0.0)
-        } else {
-            let like_wire = lean_sin.max(0.0);
-            let sigma = (upper - lower) * (like_wire * (1.0 - like_wire)).sqrt();
-            (upper + (lower - upper) * like_wire, sigma)
-        }
-    }
-}
 
 /// One picture, as pose estimation reads it.
 #[derive(Clone, Copy)]
@@ -193,10 +127,15 @@ impl Refine {
             equations: Equations::new(Level::detect()),
             sightings: Vec::with_capacity(STATIONS_MAX),
             ends: Vec::with_capacity(64),
-            observations: Vec::with_capacity(2 * STATIONS_MAX),
+            observations: Vec::with_capacity(MEASUREMENTS_MAX),
             ratios: Vec::with_capacity(STATIONS_MAX),
             eye: nalgebra::center(&Point3::origin(), &right_eye),
         }
+    }
+
+    /// What light does to the outlines.
+    pub fn shading(&self) -> &Shading {
+        &self.params.shading
     }
 
     /// What both pictures show at every station of the part, at the pose of the last [`Refine::fine`].
@@ -243,7 +182,7 @@ impl Refine {
         for round in 0..self.params.fine_rounds {
             let (search_px, scales_px) = if round == 0 { FINE_FIRST } else { FINE_NEXT };
             self.look(model, &pose, views, search_px);
-            self.observe_outlines(model, search_px);
+            self.observe_outlines(model, search_px, |_, _| {});
             let solution = self.solve(model, &mut pose, &scales_px)?;
             let shift_px = self.shift(&solution.step);
             last = Some(solution);
@@ -385,14 +324,22 @@ impl Refine {
         measure_ends(params, ends, |measurement, _| equations.push(&measurement));
     }
 
-    fn observe_outlines(&mut self, model: &PoseModel, search_px: f64) {
+    /// Sets up the equations from what is seen; gives each measurement and where it comes from to `note`, too.
+    fn observe_outlines(
+        &mut self,
+        model: &PoseModel,
+        search_px: f64,
+        mut note: impl FnMut(Measurement, Origin),
+    ) {
         self.equations.clear();
         let usual = [0, 1].map(|side| self.usual_width(model, side));
         let Self { equations, sightings, ends, params, .. } = self;
-        measure_outlines(params, model, sightings, &usual, search_px, |measurement, _| {
+        let mut each = |measurement: Measurement, origin| {
             equations.push(&measurement);
-        });
-        measure_ends(params, ends, |measurement, _| equations.push(&measurement));
+            note(measurement, origin);
+        };
+        measure_outlines(params, model, sightings, &usual, search_px, &mut each);
+        measure_ends(params, ends, &mut each);
     }
 
     /// Seen width of the wire in one picture.
