@@ -288,8 +288,10 @@ impl Recognizer {
         for (found, blocked) in out.parts.iter_mut().zip(blocked) {
             found.blocked = blocked.or((!found.proven).then_some(Blocked::Uncertain));
         }
+        // What may not be there at all comes last.
         let rank = |f: &FoundPart| match f.blocked {
             None => 0,
+            Some(_) if !f.proven => 3,
             Some(Blocked::Covered) => 2,
             Some(_) => 1,
         };
