@@ -25,13 +25,13 @@ pub struct Shading {
 impl Default for Shading {
     fn default() -> Self {
         Self {
-            across: 0.025,
-            across_per_skew: 1.5,
-            lift: 0.095,
+            across: 0.02,
+            across_per_skew: 1.2,
+            lift: 0.07,
             turn_across: 0.035,
-            turn_lift: 0.18,
-            end: 0.035,
-            end_lift: 0.12,
+            turn_lift: 0.14,
+            end: 0.025,
+            end_lift: 0.09,
         }
     }
 }

@@ -200,12 +200,13 @@ mod tests {
             end_lift: 0.0,
             ..Shading::default()
         };
-        let (fit, all) = (spread(&none, true), spread(&Shading::default(), true));
+        let light = Shading::default();
+        let (fit, all) = (spread(&none, true), spread(&light, true));
         let sigma = |c: &Matrix6<f64>, k: usize| c[(k, k)].sqrt();
         // 21 sections of 0.1 pixels fix the place across to a hundredth of a mm; the light does not.
-        assert!(sigma(&fit, 1) < 0.012 && (sigma(&all, 1) - 0.025 * 1.5).abs() < 0.005, "{fit} {all}");
-        // Turned by 0.035 radii over its length of 60 mm.
-        let turned = 0.035 * 1.5 / 60.0;
+        assert!(sigma(&fit, 1) < 0.012 && (sigma(&all, 1) - light.across * 1.5).abs() < 0.005, "{fit} {all}");
+        // Over its length of 60 mm.
+        let turned = light.turn_across * 1.5 / 60.0;
         assert!((sigma(&all, 5) - turned).abs() < 0.3 * turned, "{}", sigma(&all, 5));
     }
 
