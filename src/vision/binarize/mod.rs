@@ -153,9 +153,9 @@ impl Binarize {
         self.region.as_ref()
     }
 
-    /// Whether MJPEG may be decoded to luma alone: for a range of luma only.
+    /// Whether MJPEG may be decoded to luma alone: for a range of luma, given or found in the picture.
     pub fn needs_luma_only(&self) -> bool {
-        matches!(self.params.colour, ColourRange::Grey { .. })
+        matches!(self.params.colour, ColourRange::Grey { .. } | ColourRange::Auto)
     }
 
     /// Writes every pixel of `bits`.
