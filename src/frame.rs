@@ -108,14 +108,22 @@ impl Frame {
         Frame { bytes, format: PixelFormat::Rgb, width, height, stride_bytes: 3 * width, ..Frame::default() }
     }
 
-    /// Bytes that [`Frame::bytes`] must hold at least for this format, size and stride; 0 for MJPEG.
-    pub fn bytes_needed(&self) -> usize {
-        let row = match self.format {
+    /// Bytes of one row of this format and width, without what is between rows; 0 for MJPEG.
+    pub fn row_bytes(&self) -> usize {
+        match self.format {
             PixelFormat::Rgb | PixelFormat::Bgr => 3 * self.width,
             PixelFormat::Grey => self.width,
             PixelFormat::Yuyv => 2 * self.width.next_multiple_of(2),
             PixelFormat::Nv12 => self.width.next_multiple_of(2),
+            PixelFormat::Mjpeg => 0,
+        }
+    }
+
+    /// Bytes that [`Frame::bytes`] must hold at least for this format, size and stride; 0 for MJPEG.
+    pub fn bytes_needed(&self) -> usize {
+        let row = match self.format {
             PixelFormat::Mjpeg => return 0,
+            _ => self.row_bytes(),
         };
         let rows = match self.format {
             PixelFormat::Nv12 => self.height + self.height.div_ceil(2),

@@ -4,7 +4,6 @@
 //! the moment at which its pair is handed over. That moment is agreed once for both sides, so pictures of two
 //! different pairs are never taken for one, however the two threads are scheduled.
 
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::Duration;
@@ -12,7 +11,7 @@ use std::time::Duration;
 use super::{Condition, Grab, Side};
 use crate::frame::{Frame, TimestampMark};
 use crate::handover::Waker;
-use crate::session::{RecordedPair, Session, SessionError, read_picture, read_raw_picture};
+use crate::session::{RecordedPair, RecordedPicture, Session, SessionError};
 use crate::time::Timestamp;
 
 /// Decoded pictures are kept in memory up to this size, both sides together; the rest is read when it is due.
@@ -26,6 +25,8 @@ const BREATH_NS_MAX: i64 = 5_000_000;
 pub enum Pace {
     /// A pair every so often.
     Every(Duration),
+    /// At the times at which the session was recorded.
+    AsRecorded,
     /// The next pair when the cell has finished the last one: whoever finishes a pair wakes both. Only pairs of which
     /// both pictures are there are played.
     Stepped([Arc<Waker>; 2]),
@@ -34,7 +35,7 @@ pub enum Pace {
 #[derive(Debug)]
 enum Picture {
     Kept(Frame),
-    File(PathBuf),
+    Stored(RecordedPicture),
     Absent,
 }
 
@@ -43,6 +44,8 @@ enum Picture {
 struct Moments {
     start: Timestamp,
     at: Vec<AtomicI64>,
+    /// From the first pair of a round to each, and to the first of the next round, ns. Empty where nothing is planned.
+    plan_ns: Vec<i64>,
 }
 
 impl Moments {
@@ -56,13 +59,21 @@ impl Moments {
     }
 
     /// Not before its time, and not so soon after its predecessor that a late session bunches up.
-    fn due(&self, index: usize, period: Duration) -> Timestamp {
-        let planned = self.start.after(period.saturating_mul(u32::try_from(index).unwrap_or(u32::MAX)));
+    fn due(&self, index: usize) -> Timestamp {
+        let planned = self.planned(index);
         let previous = match index.checked_sub(1).map(|i| self.at[i].load(Ordering::Relaxed)) {
             None | Some(0) => return planned,
             Some(previous) => Timestamp(previous),
         };
-        planned.max(previous.after(period.mul_f64(0.9)))
+        let apart_ns = planned.since(self.planned(index - 1)).max(0);
+        planned.max(Timestamp(previous.0.saturating_add(apart_ns / 10 * 9)))
+    }
+
+    fn planned(&self, index: usize) -> Timestamp {
+        let Some((round_ns, offsets_ns)) = self.plan_ns.split_last() else { return self.start };
+        let rounds = i64::try_from(index / offsets_ns.len().max(1)).unwrap_or(i64::MAX);
+        let offset_ns = offsets_ns.get(index % offsets_ns.len().max(1)).copied().unwrap_or(0);
+        Timestamp(self.start.0.saturating_add(round_ns.saturating_mul(rounds)).saturating_add(offset_ns))
     }
 }
 
@@ -86,28 +97,30 @@ impl ReplayCamera {
     pub fn both(session: &Session, pace: &Pace, pairs: usize, raw: bool) -> Result<[Self; 2], SessionError> {
         let first_after = match pace {
             Pace::Every(period) => *period,
+            Pace::AsRecorded => session.period(),
             Pace::Stepped(_) => Duration::ZERO,
         };
         let moments = Arc::new(Moments {
             start: Timestamp::now().after(first_after),
             at: (0..pairs).map(|_| AtomicI64::new(0)).collect(),
+            plan_ns: plan(session, pace),
         });
         let mut kept = 0;
         let mut side = |side: Side| -> Result<Self, SessionError> {
             let mut pictures = Vec::with_capacity(session.pairs.len());
             let whole = |pair: &&RecordedPair| {
-                matches!(pace, Pace::Every(_)) || pair.pictures.iter().all(Option::is_some)
+                !matches!(pace, Pace::Stepped(_)) || pair.pictures.iter().all(Option::is_some)
             };
             for pair in session.pairs.iter().filter(whole) {
-                let Some(path) = &pair.pictures[side.index()] else {
+                let Some(picture) = &pair.pictures[side.index()] else {
                     pictures.push(Picture::Absent);
                     continue;
                 };
-                let frame = if raw { read_raw_picture(path)? } else { read_picture(path)? };
+                let frame = if raw { picture.read_raw()? } else { picture.read()? };
                 kept += frame.bytes.len();
                 pictures.push(match kept <= KEPT_BYTES_MAX {
                     true => Picture::Kept(frame),
-                    false => Picture::File(path.clone()),
+                    false => Picture::Stored(picture.clone()),
                 });
             }
             Ok(Self { side, pictures, moments: Arc::clone(&moments), pace: pace.clone(), next: 0 })
@@ -139,7 +152,7 @@ impl ReplayCamera {
                     copy(kept, frame);
                     Condition::Good
                 }
-                Picture::File(path) => match read_picture(path) {
+                Picture::Stored(picture) => match picture.read() {
                     Ok(read) => {
                         copy(&read, frame);
                         Condition::Good
@@ -166,8 +179,8 @@ impl ReplayCamera {
     /// Whether the next picture is due before `give_up`; sleeps until then.
     fn wait_due(&self, give_up: Timestamp) -> bool {
         match &self.pace {
-            Pace::Every(period) => {
-                let due = self.moments.due(self.next, *period);
+            Pace::Every(_) | Pace::AsRecorded => {
+                let due = self.moments.due(self.next);
                 sleep_until(due.min(give_up));
                 due <= give_up
             }
@@ -183,6 +196,20 @@ impl ReplayCamera {
                 woken
             }
         }
+    }
+}
+
+/// See [`Moments::plan_ns`].
+fn plan(session: &Session, pace: &Pace) -> Vec<i64> {
+    let ns = |duration: Duration| i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX);
+    match pace {
+        Pace::Every(period) => vec![0, ns(*period)],
+        Pace::AsRecorded => {
+            let last_ns = session.pairs.last().map_or(0, |pair| pair.after_ns);
+            let round_ns = last_ns.saturating_add(ns(session.period()));
+            session.pairs.iter().map(|pair| pair.after_ns).chain([round_ns]).collect()
+        }
+        Pace::Stepped(_) => Vec::new(),
     }
 }
 
@@ -218,10 +245,11 @@ mod tests {
                     path
                 })
             });
-            RecordedPair { name: i.to_string(), pictures }
+            let pictures = pictures.map(|path| path.map(RecordedPicture::File));
+            RecordedPair { name: i.to_string(), after_ns: i64::from(i) * 1_000_000, pictures }
         };
         let pairs = vec![pair(0, true), pair(1, false), pair(2, true)];
-        Session { folder: folder.to_owned(), rate_hz: 1000.0, pairs }
+        Session { path: folder.to_owned(), rate_hz: 1000.0, pairs, broken_at: None }
     }
 
     #[test]
@@ -245,6 +273,21 @@ mod tests {
         // One moment for both sides of a pair, rising, although one side was played long after the other.
         assert_eq!((left[0].2, left[2].2, left[3].2), (right[0].2, right[1].2, right[2].2));
         assert!(left.windows(2).all(|w| w[0].2 < w[1].2));
+    }
+
+    #[test]
+    fn a_session_is_planned_as_it_was_recorded_and_anew_in_every_round() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut session = session(folder.path());
+        session.pairs[1].after_ns = 5_000_000;
+        session.pairs[2].after_ns = 6_000_000;
+        let moments =
+            Moments { start: Timestamp(0), at: Vec::new(), plan_ns: plan(&session, &Pace::AsRecorded) };
+        let planned: Vec<_> = (0..5).map(|i| moments.planned(i).0 / 1_000_000).collect();
+        assert_eq!(planned, [0, 5, 6, 7, 12]);
+        let every = Pace::Every(Duration::from_millis(2));
+        let moments = Moments { start: Timestamp(0), at: Vec::new(), plan_ns: plan(&session, &every) };
+        assert_eq!(moments.planned(4), Timestamp(8_000_000));
     }
 
     #[test]

@@ -10,6 +10,7 @@ use crate::files::write_atomically;
 use crate::part::Part;
 use crate::recognize::{Params, Recognition, Recognizer};
 use crate::rig::Rig;
+use crate::session::RecordedPicture;
 use crate::time::Budget;
 
 /// Recognise scenes with known truth and print how near it came.
@@ -74,7 +75,7 @@ fn run_set(args: &Accuracy, set: &SceneSet, folder: &Path) -> Result<Score, Box<
         let files = PairFiles {
             name: scene.name.clone(),
             folder: set.calibration.with_file_name(&scene.name),
-            files: scene.pictures.clone().map(Some),
+            files: scene.pictures.clone().map(|path| Some(RecordedPicture::File(path))),
         };
         let (pair, _) = read_pair(&files, recognizer.rig())?;
         let mut found = Recognition::default();

@@ -8,34 +8,50 @@ use std::path::{Path, PathBuf};
 use super::recognize::RecognizeError;
 use crate::frame::{Frame, FramePair};
 use crate::rig::{CameraModel, Rig};
-use crate::session::read_picture;
+use crate::session::{RecordedPicture, Session};
 use crate::vision::decode::{Decoder, Output};
 
-/// Two picture files that belong together. A side is `None` where its picture is missing.
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// Two pictures that belong together. A side is `None` where its picture is missing.
+#[derive(Clone, Debug)]
 pub struct PairFiles {
-    /// The folder's name, or the files' name without ending.
+    /// The folder's name, the files' name without ending, or a recording's name of the pair.
     pub name: String,
     /// Where to look, for the message about a missing picture.
     pub folder: PathBuf,
     /// Left and right.
-    pub files: [Option<PathBuf>; 2],
+    pub files: [Option<RecordedPicture>; 2],
 }
 
 const SIDES: [&str; 2] = ["left", "right"];
 
-/// The pairs of a folder in order of name: the pictures of equal name of `left/` and `right/` where it has both, else
+/// The pairs of a recording in their order, or of a folder in order of name: the pictures of equal name of `left/` and `right/` where it has both, else
 /// every folder in it that holds a `left` or a `right` picture.
 ///
 /// # Errors
-/// The folder cannot be listed, or there is no pair in it.
+/// The recording cannot be read, the folder cannot be listed, or there is no pair in it.
 pub fn pairs_of(folder: &Path) -> Result<Vec<PairFiles>, RecognizeError> {
+    if folder.is_file() {
+        return recorded_pairs(folder);
+    }
     let is_session = SIDES.iter().all(|side| folder.join(side).is_dir());
     let pairs = if is_session { session_pairs(folder)? } else { folder_pairs(folder)? };
     if !pairs.iter().any(|p| p.files.iter().all(Option::is_some)) {
         return Err(RecognizeError::NoPairs { path: folder.to_owned() });
     }
     Ok(pairs)
+}
+
+fn recorded_pairs(path: &Path) -> Result<Vec<PairFiles>, RecognizeError> {
+    let session = Session::open(path)?;
+    if let Some(note) = session.break_note() {
+        tracing::warn!("{note}");
+    }
+    let pair = |pair: crate::session::RecordedPair| PairFiles {
+        name: pair.name,
+        folder: path.to_owned(),
+        files: pair.pictures,
+    };
+    Ok(session.pairs.into_iter().map(pair).collect())
 }
 
 fn session_pairs(folder: &Path) -> Result<Vec<PairFiles>, RecognizeError> {
@@ -49,7 +65,11 @@ fn session_pairs(folder: &Path) -> Result<Vec<PairFiles>, RecognizeError> {
             }
         }
     }
-    let pair = |(name, files)| PairFiles { name, folder: folder.to_owned(), files };
+    let pair = |(name, files): (String, [Option<PathBuf>; 2])| PairFiles {
+        name,
+        folder: folder.to_owned(),
+        files: files.map(|file| file.map(RecordedPicture::File)),
+    };
     Ok(names.into_iter().map(pair).collect())
 }
 
@@ -67,6 +87,7 @@ fn folder_pairs(folder: &Path) -> Result<Vec<PairFiles>, RecognizeError> {
         let files = SIDES.map(find);
         if files.iter().any(Option::is_some) {
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            let files = files.map(|file| file.map(RecordedPicture::File));
             pairs.push(PairFiles { name, folder: path, files });
         }
     }
@@ -92,29 +113,27 @@ fn is_picture(path: &Path) -> bool {
 /// # Errors
 /// A picture is missing, cannot be read, or has not the calibration's size.
 pub fn read_pair(pair: &PairFiles, rig: &Rig) -> Result<(FramePair, [PathBuf; 2]), RecognizeError> {
-    let mut paths: [PathBuf; 2] = Default::default();
-    for (i, side) in SIDES.into_iter().enumerate() {
-        match &pair.files[i] {
-            Some(path) => paths[i].clone_from(path),
-            None => {
-                let path = pair.folder.join(side);
-                return Err(RecognizeError::MissingPicture { path, side });
-            }
-        }
-    }
-    let read = |path: &PathBuf, side: &'static str, camera: &CameraModel| {
-        if fs::metadata(path).is_ok_and(|m| !m.is_file()) {
+    let picture = |side: usize| {
+        let name = SIDES[side];
+        let missing = || RecognizeError::MissingPicture { path: pair.folder.join(name), side: name };
+        pair.files[side].as_ref().ok_or_else(missing)
+    };
+    let pictures = [picture(0)?, picture(1)?];
+    let read = |picture: &RecordedPicture, side: &'static str, camera: &CameraModel| {
+        if let RecordedPicture::File(path) = picture
+            && fs::metadata(path).is_ok_and(|m| !m.is_file())
+        {
             return Err(RecognizeError::NoFile { path: path.clone() });
         }
-        let frame = read_picture(path)?;
+        let frame = picture.read()?;
         camera
             .check_size(side, frame.width, frame.height)
-            .map_err(|reason| RecognizeError::Size { path: path.clone(), reason })?;
+            .map_err(|reason| RecognizeError::Size { path: picture.place(), reason })?;
         Ok(frame)
     };
-    let frames =
-        FramePair { left: read(&paths[0], "left", &rig.left)?, right: read(&paths[1], "right", &rig.right)? };
-    Ok((frames, paths))
+    let [left, right] = pictures;
+    let frames = FramePair { left: read(left, "left", &rig.left)?, right: read(right, "right", &rig.right)? };
+    Ok((frames, pictures.map(RecordedPicture::place)))
 }
 
 /// The picture without compression, in colour.
@@ -148,8 +167,9 @@ mod tests {
         let pairs = pairs_of(folder.path()).unwrap();
         let names: Vec<_> = pairs.iter().map(|p| p.name.as_str()).collect();
         assert_eq!(names, ["a", "b", "c"]);
-        assert_eq!(pairs[1].files, [Some(at("b/left.png")), Some(at("b/right.JPG"))]);
-        assert_eq!(pairs[2].files[1], None);
+        let places = |pair: &PairFiles| pair.files.clone().map(|file| file.map(|file| file.place()));
+        assert_eq!(places(&pairs[1]), [Some(at("b/left.png")), Some(at("b/right.JPG"))]);
+        assert!(pairs[2].files[1].is_none());
     }
 
     #[test]
@@ -163,7 +183,8 @@ mod tests {
         }
         let pairs = pairs_of(folder.path()).unwrap();
         assert_eq!(pairs.len(), 2);
-        assert_eq!(pairs[1].files, [Some(at("left/2.png")), Some(at("right/2.jpg"))]);
+        let places = pairs[1].files.clone().map(|file| file.map(|file| file.place()));
+        assert_eq!(places, [Some(at("left/2.png")), Some(at("right/2.jpg"))]);
     }
 
     #[test]

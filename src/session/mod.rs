@@ -1,202 +1,149 @@
-//! Recorded sessions: what two cameras saw.
+//! Recorded sessions: what two cameras saw, and what the arm said meanwhile.
 //!
-//! Takes a folder with `left/`, `right/` (png or jpg, paired by equal names) and `session.toml` (`rate_hz`); gives
-//! the pairs in order of name, as [`Frame`](crate::frame::Frame)s like those of a camera: a JPEG stays as it is
-//! ([MJPEG](crate::frame::PixelFormat::Mjpeg)), a PNG becomes RGB or grey. Time stamps are index / rate.
+//! Takes a recording (one MCAP file) or a folder with `left/`, `right/` (png or jpg, paired by equal names) and
+//! `session.toml` (`rate_hz`); gives the pairs in their order, as [`Frame`]s like those of a camera: a JPEG stays as it
+//! is ([MJPEG](crate::frame::PixelFormat::Mjpeg)), a PNG becomes RGB or grey, a raw picture keeps its format. A
+//! recording has its own time stamps, in a folder they are index / rate.
+//!
+//! A recording is read through once when it is opened: its records are checked, its pictures are found, not kept. One
+//! that breaks off (a power cut, a kill) is read up to there, and says so.
 
+mod folder;
+pub mod foxglove;
 mod picture;
+mod recording;
+mod records;
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Duration;
 
-use serde::Deserialize;
-
-use crate::camera::Side;
-
+pub use folder::FolderError;
 pub use picture::{PictureError, read_picture, read_raw_picture};
+pub use records::{Damage, MessageAt, MessageError, RecordingError, RecordingFile};
 
-/// What is wrong with a session folder.
+use crate::frame::{ColourEncoding, Frame};
+use foxglove::ImageKind;
+
+/// What is wrong with a session.
 #[derive(Debug, thiserror::Error)]
 pub enum SessionError {
-    /// It is not there or not a folder.
-    #[error(
-        "{}: not a session folder ({reason}); a session is a folder with left/, right/ and session.toml", path.display()
-    )]
-    NoFolder {
-        /// The folder as it was named.
-        path: PathBuf,
-        /// What the system said.
-        reason: std::io::Error,
-    },
-    /// No `session.toml`.
-    #[error("{}: cannot read it: {reason}; write one line into it, for example rate_hz = 30.0", path.display())]
-    NoSettings {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        reason: std::io::Error,
-    },
-    /// A `session.toml` that is no TOML, or has other keys than `rate_hz`.
-    #[error("{}: {reason}", path.display())]
-    BadSettings {
-        /// The file.
-        path: PathBuf,
-        /// What the parser said.
-        reason: toml::de::Error,
-    },
-    /// A rate that none is.
-    #[error("{}: rate_hz = {rate_hz} is not possible; allowed: frames a second above 0, up to 1000", path.display())]
-    BadRate {
-        /// The file.
-        path: PathBuf,
-        /// As written.
-        rate_hz: f64,
-    },
-    /// Not one png or jpg on a side.
-    #[error("{}: there is no png or jpg in it; a session needs pictures of both cameras", path.display())]
-    NoPictures {
-        /// The folder.
-        path: PathBuf,
-    },
-    /// Two pictures that differ only in their ending.
-    #[error("{} and {}: two pictures of one name; remove one", first.display(), second.display())]
-    SameName {
-        /// One.
-        first: PathBuf,
-        /// The other.
-        second: PathBuf,
-    },
+    /// A folder.
+    #[error(transparent)]
+    Folder(#[from] FolderError),
+    /// A file.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
     /// A picture that cannot be used.
     #[error(transparent)]
     Picture(#[from] PictureError),
 }
 
+/// A picture of a session, where it lies.
+#[derive(Clone, Debug)]
+pub enum RecordedPicture {
+    /// A png or jpg.
+    File(PathBuf),
+    /// A message of a recording.
+    Message {
+        /// The recording.
+        file: Arc<RecordingFile>,
+        /// Its topic.
+        topic: Arc<str>,
+        /// Where in it.
+        at: MessageAt,
+        /// Of which kind.
+        kind: ImageKind,
+        /// What the recording says about its colours.
+        encoding: ColourEncoding,
+    },
+}
+
+impl RecordedPicture {
+    /// Reads it; see [`read_picture`].
+    ///
+    /// # Errors
+    /// It cannot be read, is no picture, or larger than the cell takes.
+    pub fn read(&self) -> Result<Frame, PictureError> {
+        match self {
+            RecordedPicture::File(path) => read_picture(path),
+            RecordedPicture::Message { file, at, kind, encoding, .. } => {
+                picture::from_message(&file.message(*at)?, *kind, *encoding, self.place())
+            }
+        }
+    }
+
+    /// Reads it, and decodes a JPEG too.
+    ///
+    /// # Errors
+    /// It cannot be read, is no whole picture, or larger than the cell takes.
+    pub fn read_raw(&self) -> Result<Frame, PictureError> {
+        picture::decoded(self.read()?, self.place())
+    }
+
+    /// Where it lies, for messages: the file, and of a recording the topic and the byte.
+    pub fn place(&self) -> PathBuf {
+        match self {
+            RecordedPicture::File(path) => path.clone(),
+            RecordedPicture::Message { file, topic, at, .. } => {
+                format!("{}, {topic} at byte {}", file.path().display(), at.byte).into()
+            }
+        }
+    }
+}
+
 /// One moment of a session. A side is `None` where its camera had left the picture out.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub struct RecordedPair {
-    /// File name without its ending.
+    /// File name without its ending, or the pair's name or number in a recording.
     pub name: String,
+    /// From the first pair to this one, ns.
+    pub after_ns: i64,
     /// The pictures, left and right.
-    pub pictures: [Option<PathBuf>; 2],
+    pub pictures: [Option<RecordedPicture>; 2],
 }
 
 /// A session that was opened: which pictures there are.
 #[derive(Clone, Debug)]
 pub struct Session {
-    /// The folder.
-    pub folder: PathBuf,
-    /// Pairs a second.
+    /// The file or folder.
+    pub path: PathBuf,
+    /// Pairs a second; of a recording, by the middle one of the times between two pairs.
     pub rate_hz: f64,
-    /// In order of name; at least one.
+    /// In their order; at least one.
     pub pairs: Vec<RecordedPair>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Settings {
-    rate_hz: f64,
+    /// The byte at which a recording breaks off whose end is missing.
+    pub broken_at: Option<u64>,
 }
 
 impl Session {
-    /// Lists a session folder. The pictures are not read yet.
+    /// Lists a session. The pictures are not decoded yet.
     ///
     /// # Errors
     /// The first thing that is wrong with it.
-    pub fn open(folder: &Path) -> Result<Self, SessionError> {
-        std::fs::read_dir(folder)
-            .map_err(|reason| SessionError::NoFolder { path: folder.to_owned(), reason })?;
-        let path = folder.join("session.toml");
-        let text = std::fs::read_to_string(&path)
-            .map_err(|reason| SessionError::NoSettings { path: path.clone(), reason })?;
-        let Settings { rate_hz } = toml::from_str(&text)
-            .map_err(|reason| SessionError::BadSettings { path: path.clone(), reason })?;
-        if !(rate_hz.is_finite() && rate_hz > 0.0 && rate_hz <= 1000.0) {
-            return Err(SessionError::BadRate { path, rate_hz });
+    pub fn open(path: &Path) -> Result<Self, SessionError> {
+        if path.is_file() {
+            return Ok(recording::open(path)?);
         }
-        let mut names: BTreeMap<String, [Option<PathBuf>; 2]> = BTreeMap::new();
-        for side in Side::BOTH {
-            for (name, picture) in pictures_in(&folder.join(side.name()))? {
-                names.entry(name).or_default()[side.index()] = Some(picture);
-            }
-        }
-        let pairs = names.into_iter().map(|(name, pictures)| RecordedPair { name, pictures }).collect();
-        Ok(Self { folder: folder.to_owned(), rate_hz, pairs })
+        Ok(folder::open(path)?)
     }
 
     /// Time from one pair to the next.
     pub fn period(&self) -> Duration {
         Duration::from_secs_f64(1.0 / self.rate_hz)
     }
-}
 
-/// Name without ending → file, of every picture in `folder`.
-fn pictures_in(folder: &Path) -> Result<BTreeMap<String, PathBuf>, SessionError> {
-    let no_folder = |reason| SessionError::NoFolder { path: folder.to_owned(), reason };
-    let mut pictures = BTreeMap::new();
-    for entry in std::fs::read_dir(folder).map_err(no_folder)? {
-        let path = entry.map_err(no_folder)?.path();
-        let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
-        let (true, Some(stem)) = (matches!(&*ending, "png" | "jpg" | "jpeg"), path.file_stem()) else {
-            continue;
-        };
-        let name = stem.to_string_lossy().into_owned();
-        if let Some(first) = pictures.insert(name, path.clone()) {
-            return Err(SessionError::SameName { first, second: path });
-        }
+    /// What to tell people about a recording whose end is missing.
+    pub fn break_note(&self) -> Option<String> {
+        self.broken_at.map(|byte| {
+            format!(
+                "{}: its end is missing: it breaks off at byte {byte}; what stands before is used ({} pairs)",
+                self.path.display(),
+                self.pairs.len()
+            )
+        })
     }
-    if pictures.is_empty() {
-        return Err(SessionError::NoPictures { path: folder.to_owned() });
-    }
-    Ok(pictures)
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn folder(rate: &str, files: &[&str]) -> tempfile::TempDir {
-        let folder = tempfile::tempdir().unwrap();
-        std::fs::write(folder.path().join("session.toml"), rate).unwrap();
-        for side in ["left", "right"] {
-            std::fs::create_dir(folder.path().join(side)).unwrap();
-        }
-        for file in files {
-            std::fs::write(folder.path().join(file), b"x").unwrap();
-        }
-        folder
-    }
-
-    #[test]
-    fn pairs_are_listed_by_name_and_gaps_stay() {
-        let folder = folder(
-            "rate_hz = 10",
-            &["left/b.png", "left/a.jpg", "left/notes.txt", "right/a.JPG", "right/c.png"],
-        );
-        let session = Session::open(folder.path()).unwrap();
-        assert_eq!(session.period(), Duration::from_millis(100));
-        let there: Vec<_> =
-            session.pairs.iter().map(|p| (&*p.name, p.pictures.each_ref().map(Option::is_some))).collect();
-        assert_eq!(there, [("a", [true, true]), ("b", [true, false]), ("c", [false, true])]);
-    }
-
-    #[test]
-    fn errors_name_the_file_and_the_remedy() {
-        let message = |folder: &Path| Session::open(folder).unwrap_err().to_string();
-        assert!(message(Path::new("/nowhere")).contains("a session is a folder with left/, right/"));
-        let empty = tempfile::tempdir().unwrap();
-        assert!(message(empty.path()).contains("session.toml: cannot read it"));
-        assert!(message(folder("rate_hz = 0", &[]).path()).contains("rate_hz = 0 is not possible"));
-        assert!(message(folder("rate = 3", &[]).path()).contains("unknown field `rate`"));
-        assert!(message(folder("rate_hz = 3", &[]).path()).contains("left: there is no png or jpg in it"));
-        let twice = folder("rate_hz = 3", &["left/a.png", "left/a.jpg", "right/a.png"]);
-        assert!(message(twice.path()).contains("two pictures of one name"));
-    }
-
-    #[test]
-    fn the_session_of_the_project_opens() {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/conveyor");
-        let session = Session::open(&folder).unwrap();
-        assert_eq!((session.pairs.len(), session.rate_hz), (20, 30.0));
-    }
-}
+mod tests;

@@ -1,11 +1,15 @@
-//! A picture file as a [`Frame`].
+//! A picture file, or a picture message of a recording, as a [`Frame`].
 
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 use image::{ColorType, DynamicImage, ImageFormat, ImageReader};
 
-use crate::frame::{Frame, PixelFormat};
+use prost::Message;
+
+use super::foxglove::{CompressedImage, ImageKind, RawImage, format_of};
+use super::records::RecordingError;
+use crate::frame::{ColourEncoding, Frame, PixelFormat};
 
 /// Largest width or height of a picture, pixels.
 const SIDE_PX_MAX: u32 = 8192;
@@ -35,6 +39,41 @@ pub enum PictureError {
         /// The file.
         path: PathBuf,
     },
+    /// A message of another kind than its schema says.
+    #[error("{}: no picture message ({reason}); record it again", path.display())]
+    Message {
+        /// The message.
+        path: PathBuf,
+        /// What the decoder said.
+        reason: prost::DecodeError,
+    },
+    /// A raw picture in a format that no camera of a cell delivers.
+    #[error("{}: pixels in the encoding {encoding:?}; possible are yuyv, nv12, rgb8, bgr8 and mono8", path.display())]
+    Encoding {
+        /// The message.
+        path: PathBuf,
+        /// As written.
+        encoding: String,
+    },
+    /// Too few bytes for its size, or rows that overlap.
+    #[error(
+        "{}: {bytes} bytes with {step} a row for {width}x{height} pixels are no whole picture; record it again", path.display()
+    )]
+    Short {
+        /// The message.
+        path: PathBuf,
+        /// What is there.
+        bytes: usize,
+        /// Bytes a row, as written.
+        step: u32,
+        /// Its width.
+        width: u32,
+        /// Its height.
+        height: u32,
+    },
+    /// The recording that it is in.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
     /// Too large.
     #[error("{}: {width}x{height} pixels; at most {SIDE_PX_MAX} a side are possible", path.display())]
     TooLarge {
@@ -55,6 +94,19 @@ pub enum PictureError {
 pub fn read_picture(path: &Path) -> Result<Frame, PictureError> {
     let bytes =
         std::fs::read(path).map_err(|reason| PictureError::Unreadable { path: path.to_owned(), reason })?;
+    from_file(bytes, path)
+}
+
+/// Reads a picture file as [`read_picture`] does, but decodes a JPEG too.
+///
+/// # Errors
+/// It cannot be read, is no whole picture, or larger than the cell takes.
+pub fn read_raw_picture(path: &Path) -> Result<Frame, PictureError> {
+    decoded(read_picture(path)?, path.to_owned())
+}
+
+/// The bytes of a png or jpg file; `path` is where they are from.
+fn from_file(bytes: Vec<u8>, path: &Path) -> Result<Frame, PictureError> {
     let broken = |reason| PictureError::Broken { path: path.to_owned(), reason };
     let format = image::guess_format(&bytes).map_err(|_| PictureError::Foreign { path: path.to_owned() })?;
     let reader = || ImageReader::with_format(Cursor::new(&bytes), format);
@@ -62,9 +114,7 @@ pub fn read_picture(path: &Path) -> Result<Frame, PictureError> {
         ImageFormat::Png | ImageFormat::Jpeg => reader().into_dimensions().map_err(broken)?,
         _ => return Err(PictureError::Foreign { path: path.to_owned() }),
     };
-    if width > SIDE_PX_MAX || height > SIDE_PX_MAX {
-        return Err(PictureError::TooLarge { path: path.to_owned(), width, height });
-    }
+    check_size(width, height, path)?;
     let (width, height) = (width as usize, height as usize);
     if format == ImageFormat::Jpeg {
         let format = PixelFormat::Mjpeg;
@@ -74,17 +124,57 @@ pub fn read_picture(path: &Path) -> Result<Frame, PictureError> {
     Ok(from_decoded(decoded, width, height))
 }
 
-/// Reads a picture file as [`read_picture`] does, but decodes a JPEG too.
-///
-/// # Errors
-/// It cannot be read, is no whole picture, or larger than the cell takes.
-pub fn read_raw_picture(path: &Path) -> Result<Frame, PictureError> {
-    let frame = read_picture(path)?;
+fn check_size(width: u32, height: u32, path: &Path) -> Result<(), PictureError> {
+    match width > SIDE_PX_MAX || height > SIDE_PX_MAX {
+        true => Err(PictureError::TooLarge { path: path.to_owned(), width, height }),
+        false => Ok(()),
+    }
+}
+
+/// The picture in a message of a recording; `place` says where that stands.
+pub(super) fn from_message(
+    message: &[u8],
+    kind: ImageKind,
+    encoding: ColourEncoding,
+    place: PathBuf,
+) -> Result<Frame, PictureError> {
+    let message_error = |reason| PictureError::Message { path: place.clone(), reason };
+    let raw = match kind {
+        ImageKind::Compressed => {
+            let image = CompressedImage::decode(message).map_err(message_error)?;
+            return from_file(image.data, &place);
+        }
+        ImageKind::Raw => RawImage::decode(message).map_err(message_error)?,
+    };
+    let RawImage { width, height, step, data, .. } = raw;
+    check_size(width, height, &place)?;
+    let Some(format) = format_of(&raw.encoding) else {
+        return Err(PictureError::Encoding { path: place, encoding: raw.encoding });
+    };
+    let frame = Frame {
+        bytes: data,
+        format,
+        width: width as usize,
+        height: height as usize,
+        stride_bytes: step as usize,
+        encoding,
+        ..Frame::default()
+    };
+    let bytes = frame.bytes.len();
+    let whole = frame.stride_bytes >= frame.row_bytes() && bytes >= frame.bytes_needed();
+    if width == 0 || height == 0 || !whole {
+        return Err(PictureError::Short { path: place, bytes, step, width, height });
+    }
+    Ok(frame)
+}
+
+/// The picture without compression.
+pub(super) fn decoded(frame: Frame, path: PathBuf) -> Result<Frame, PictureError> {
     if frame.format != PixelFormat::Mjpeg {
         return Ok(frame);
     }
     let decoded = image::load_from_memory_with_format(&frame.bytes, ImageFormat::Jpeg)
-        .map_err(|reason| PictureError::Broken { path: path.to_owned(), reason })?;
+        .map_err(|reason| PictureError::Broken { path, reason })?;
     Ok(from_decoded(decoded, frame.width, frame.height))
 }
 

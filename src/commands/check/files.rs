@@ -9,7 +9,7 @@ use super::Findings;
 use crate::config::{Backend, Cell};
 use crate::part::Part;
 use crate::rig::Rig;
-use crate::session::{Session, read_picture};
+use crate::session::Session;
 use crate::vision::binarize::Binarize;
 
 /// After so long a calibration should be looked at again: screws settle, mounts creep.
@@ -78,17 +78,17 @@ fn age(path: &Path) -> Option<Duration> {
 
 fn session(cell: &Cell, rig: Option<&Rig>, findings: &mut Findings) {
     let Some(path) = &cell.cameras.session else { return };
-    if path.is_file() {
-        findings.ok("session", format!("{} is a file", path.display()));
-        return;
-    }
     let session = match Session::open(path) {
         Ok(session) => session,
         Err(error) => return findings.wrong("session", error.to_string()),
     };
-    let about = format!("{}: {} pairs at {} a second", path.display(), session.pairs.len(), session.rate_hz);
+    if let Some(note) = session.break_note() {
+        findings.warning("session", note, "record it again where the rest of it matters");
+    }
+    let about =
+        format!("{}: {} pairs at {:.4} a second", path.display(), session.pairs.len(), session.rate_hz);
     let first = session.pairs.iter().flat_map(|pair| pair.pictures.iter().flatten()).next();
-    match first.map(|picture| read_picture(picture)) {
+    match first.map(|picture| picture.read()) {
         Some(Err(error)) => findings.wrong("session", error.to_string()),
         Some(Ok(frame)) => match rig.map(|rig| rig.check_size(frame.width, frame.height)) {
             Some(Err(error)) => findings.wrong("session", format!("{about}; {error}")),

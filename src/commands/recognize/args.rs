@@ -44,9 +44,9 @@ pub struct RecognizeArgs {
     /// Picture of the right camera, png or jpg
     #[arg(long, value_name = "FILE", requires = "left", conflicts_with = "pairs", help_heading = "Pictures")]
     pub right: Option<PathBuf>,
-    /// Folder of pairs: every folder in it with left.png|jpg and right.png|jpg; or, where it has left/ and right/,
-    /// the pictures of equal name in them
-    #[arg(long, value_name = "DIR", help_heading = "Pictures")]
+    /// Recording (.mcap), or folder of pairs: every folder in it with left.png|jpg and right.png|jpg; or, where it
+    /// has left/ and right/, the pictures of equal name in them
+    #[arg(long, value_name = "DIR|MCAP", help_heading = "Pictures")]
     pub pairs: Option<PathBuf>,
 
     /// Find the threshold in every picture (the default)

@@ -7,7 +7,7 @@ use crate::config::ConfigError;
 use crate::part::PartError;
 use crate::recognize;
 use crate::rig::RigError;
-use crate::session::PictureError;
+use crate::session::{PictureError, SessionError};
 use crate::vision::binarize::ParamsError;
 use crate::vision::decode::DecodeError;
 
@@ -60,6 +60,9 @@ pub enum RecognizeError {
     /// A picture file that cannot be used.
     #[error(transparent)]
     Picture(#[from] PictureError),
+    /// A recording that cannot be used.
+    #[error(transparent)]
+    Session(#[from] SessionError),
     /// A JPEG that cannot be decoded.
     #[error("{}: {reason}", path.display())]
     Decode {

@@ -12,6 +12,7 @@ use crate::config::{Backend, Cell, Gate, SearchMethod};
 use crate::part::Part;
 use crate::recognize::Params;
 use crate::rig::Rig;
+use crate::session::RecordedPicture;
 use crate::time::{Budget, Timestamp};
 use crate::vision::binarize;
 
@@ -83,7 +84,7 @@ impl Setup {
 fn pictures(args: &RecognizeArgs, cell: Option<&Cell>) -> Result<(Vec<PairFiles>, bool), RecognizeError> {
     if let (Some(left), Some(right)) = (&args.left, &args.right) {
         let name = left.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let files = [left, right].map(|path| Some(path.clone()));
+        let files = [left, right].map(|path| Some(RecordedPicture::File(path.clone())));
         return Ok((vec![PairFiles { name, folder: PathBuf::new(), files }], false));
     }
     let session =

@@ -155,6 +155,9 @@ fn eyes(args: &RunArgs, cell: &Cell, fast: bool) -> Result<Eyes, RunError> {
 
 fn replayed(args: &RunArgs, folder: &Path, fast: bool) -> Result<Eyes, RunError> {
     let session = Session::open(folder)?;
+    if let Some(note) = session.break_note() {
+        tracing::warn!("{note}");
+    }
     let stepped = fast || (args.soak.is_some() && args.rate == Rate::Max);
     let steps = match stepped {
         true => Some([waker()?, waker()?]),
@@ -164,7 +167,8 @@ fn replayed(args: &RunArgs, folder: &Path, fast: bool) -> Result<Eyes, RunError>
         Rate::Hz(hz) if args.soak.is_some() => Duration::from_secs_f64(1.0 / hz),
         _ => session.period(),
     };
-    let pace = steps.clone().map_or(Pace::Every(period), Pace::Stepped);
+    let timed = if args.soak.is_some() { Pace::Every(period) } else { Pace::AsRecorded };
+    let pace = steps.clone().map_or(timed, Pace::Stepped);
     let whole = |pair: &&crate::session::RecordedPair| !stepped || pair.pictures.iter().all(Option::is_some);
     let names: Vec<_> = session.pairs.iter().filter(whole).map(|pair| pair.name.clone()).collect();
     let pairs = args.soak.map_or(names.len(), |pairs| usize::try_from(pairs).unwrap_or(usize::MAX));

@@ -1,0 +1,173 @@
+//! A folder with `left/`, `right/` and `session.toml`.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+
+use super::{RecordedPair, RecordedPicture, Session};
+use crate::camera::Side;
+
+/// What is wrong with a session folder.
+#[derive(Debug, thiserror::Error)]
+pub enum FolderError {
+    /// It is not there or not a folder.
+    #[error(
+        "{}: not a session folder ({reason}); a session is an .mcap file, or a folder with left/, right/ and session.toml", path.display()
+    )]
+    NoFolder {
+        /// The folder as it was named.
+        path: PathBuf,
+        /// What the system said.
+        reason: std::io::Error,
+    },
+    /// No `session.toml`.
+    #[error("{}: cannot read it: {reason}; write one line into it, for example rate_hz = 30.0", path.display())]
+    NoSettings {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        reason: std::io::Error,
+    },
+    /// A `session.toml` that is no TOML, or has other keys than `rate_hz`.
+    #[error("{}: {reason}", path.display())]
+    BadSettings {
+        /// The file.
+        path: PathBuf,
+        /// What the parser said.
+        reason: toml::de::Error,
+    },
+    /// A rate that none is.
+    #[error("{}: rate_hz = {rate_hz} is not possible; allowed: frames a second above 0, up to 1000", path.display())]
+    BadRate {
+        /// The file.
+        path: PathBuf,
+        /// As written.
+        rate_hz: f64,
+    },
+    /// Not one png or jpg on a side.
+    #[error("{}: there is no png or jpg in it; a session needs pictures of both cameras", path.display())]
+    NoPictures {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// Two pictures that differ only in their ending.
+    #[error("{} and {}: two pictures of one name; remove one", first.display(), second.display())]
+    SameName {
+        /// One.
+        first: PathBuf,
+        /// The other.
+        second: PathBuf,
+    },
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Settings {
+    rate_hz: f64,
+}
+
+/// Lists a session folder. The pictures are not read yet.
+///
+/// # Errors
+/// The first thing that is wrong with it.
+pub(super) fn open(folder: &Path) -> Result<Session, FolderError> {
+    std::fs::read_dir(folder).map_err(|reason| FolderError::NoFolder { path: folder.to_owned(), reason })?;
+    let path = folder.join("session.toml");
+    let text = std::fs::read_to_string(&path)
+        .map_err(|reason| FolderError::NoSettings { path: path.clone(), reason })?;
+    let Settings { rate_hz } =
+        toml::from_str(&text).map_err(|reason| FolderError::BadSettings { path: path.clone(), reason })?;
+    if !(rate_hz.is_finite() && rate_hz > 0.0 && rate_hz <= 1000.0) {
+        return Err(FolderError::BadRate { path, rate_hz });
+    }
+    let mut names: BTreeMap<String, [Option<PathBuf>; 2]> = BTreeMap::new();
+    for side in Side::BOTH {
+        for (name, picture) in pictures_in(&folder.join(side.name()))? {
+            names.entry(name).or_default()[side.index()] = Some(picture);
+        }
+    }
+    let after_ns = |index: usize| (index as f64 * 1e9 / rate_hz) as i64;
+    let pair = |(index, (name, pictures)): (usize, (String, [Option<PathBuf>; 2]))| RecordedPair {
+        name,
+        after_ns: after_ns(index),
+        pictures: pictures.map(|picture| picture.map(RecordedPicture::File)),
+    };
+    let pairs = names.into_iter().enumerate().map(pair).collect();
+    Ok(Session { path: folder.to_owned(), rate_hz, pairs, broken_at: None })
+}
+
+/// Name without ending → file, of every picture in `folder`.
+fn pictures_in(folder: &Path) -> Result<BTreeMap<String, PathBuf>, FolderError> {
+    let no_folder = |reason| FolderError::NoFolder { path: folder.to_owned(), reason };
+    let mut pictures = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).map_err(no_folder)? {
+        let path = entry.map_err(no_folder)?.path();
+        let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+        let (true, Some(stem)) = (matches!(&*ending, "png" | "jpg" | "jpeg"), path.file_stem()) else {
+            continue;
+        };
+        let name = stem.to_string_lossy().into_owned();
+        if let Some(first) = pictures.insert(name, path.clone()) {
+            return Err(FolderError::SameName { first, second: path });
+        }
+    }
+    if pictures.is_empty() {
+        return Err(FolderError::NoPictures { path: folder.to_owned() });
+    }
+    Ok(pictures)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    fn folder(rate: &str, files: &[&str]) -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("session.toml"), rate).unwrap();
+        for side in ["left", "right"] {
+            std::fs::create_dir(folder.path().join(side)).unwrap();
+        }
+        for file in files {
+            std::fs::write(folder.path().join(file), b"x").unwrap();
+        }
+        folder
+    }
+
+    #[test]
+    fn pairs_are_listed_by_name_and_gaps_stay() {
+        let folder = folder(
+            "rate_hz = 10",
+            &["left/b.png", "left/a.jpg", "left/notes.txt", "right/a.JPG", "right/c.png"],
+        );
+        let session = open(folder.path()).unwrap();
+        assert_eq!(session.period(), Duration::from_millis(100));
+        let there: Vec<_> =
+            session.pairs.iter().map(|p| (&*p.name, p.pictures.each_ref().map(Option::is_some))).collect();
+        assert_eq!(there, [("a", [true, true]), ("b", [true, false]), ("c", [false, true])]);
+    }
+
+    #[test]
+    fn errors_name_the_file_and_the_remedy() {
+        let message = |folder: &Path| open(folder).unwrap_err().to_string();
+        assert!(
+            message(Path::new("/nowhere"))
+                .contains("a session is an .mcap file, or a folder with left/, right/")
+        );
+        let empty = tempfile::tempdir().unwrap();
+        assert!(message(empty.path()).contains("session.toml: cannot read it"));
+        assert!(message(folder("rate_hz = 0", &[]).path()).contains("rate_hz = 0 is not possible"));
+        assert!(message(folder("rate = 3", &[]).path()).contains("unknown field `rate`"));
+        assert!(message(folder("rate_hz = 3", &[]).path()).contains("left: there is no png or jpg in it"));
+        let twice = folder("rate_hz = 3", &["left/a.png", "left/a.jpg", "right/a.png"]);
+        assert!(message(twice.path()).contains("two pictures of one name"));
+    }
+
+    #[test]
+    fn the_session_of_the_project_opens() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/conveyor");
+        let session = open(&folder).unwrap();
+        assert_eq!((session.pairs.len(), session.rate_hz), (20, 30.0));
+    }
+}

@@ -1,0 +1,194 @@
+//! A recording as a session: its picture messages, paired by their times.
+
+use std::collections::HashMap;
+use std::path::Path;
+use std::sync::Arc;
+
+use mcap::records::Record;
+use prost::Message;
+
+use super::foxglove::{self, CompressedImage, ImageKind, RawImage};
+use super::records::{MessageAt, MessageError, RecordAt, RecordingError, RecordingFile};
+use super::{RecordedPair, RecordedPicture, Session};
+use crate::camera::Side;
+use crate::frame::ColourEncoding;
+
+/// Pairs a second, where a recording has one pair only.
+const RATE_HZ: f64 = 30.0;
+/// Fastest rate of a session, pairs a second.
+const RATE_HZ_MAX: f64 = 1000.0;
+
+/// Longest pause between two pairs that is kept, ns: nobody waits for what a stopped clock or a foreign file says.
+const PAUSE_NS_MAX: i64 = 10_000_000_000;
+
+/// A picture and when its light was seen, ns since 1970.
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    wall_ns: i64,
+    at: MessageAt,
+    channel: u16,
+}
+
+/// What a channel carries.
+#[derive(Clone, Debug)]
+struct Channel {
+    topic: Arc<str>,
+    /// Name of the schema, and encoding of the messages.
+    about: String,
+    image: Option<ImageKind>,
+    encoding: ColourEncoding,
+}
+
+/// What is found while the records go by.
+#[derive(Debug, Default)]
+struct Index {
+    schemas: HashMap<u16, String>,
+    channels: HashMap<u16, Channel>,
+    /// The topic of each side: the first that has a picture.
+    topics: [Option<Arc<str>>; 2],
+    pictures: [Vec<Seen>; 2],
+}
+
+/// Reads through a recording.
+pub(super) fn open(path: &Path) -> Result<Session, RecordingError> {
+    let file = Arc::new(RecordingFile::open(path)?);
+    let mut index = Index::default();
+    let broken_at = file.walk(|record| index.record(&file, record))?;
+    let [left, right] = &mut index.pictures;
+    if left.is_empty() || right.is_empty() {
+        return Err(RecordingError::NoPictures { path: path.to_owned(), topics: index.all_topics() });
+    }
+    for side in [&mut *left, &mut *right] {
+        side.sort_by_key(|seen| seen.wall_ns);
+    }
+    let period_ns = middle_period_ns(left);
+    let rate_hz = period_ns.map_or(RATE_HZ, |ns| (1e9 / ns as f64).min(RATE_HZ_MAX));
+    let pairs = pair_up(left, right, period_ns.unwrap_or(i64::MAX) / 2);
+    let mut after = 0;
+    let mut previous_ns = pairs.first().map_or(0, |(wall_ns, _)| *wall_ns);
+    let mut after_ns = |wall_ns: i64| {
+        after += wall_ns.saturating_sub(previous_ns).clamp(0, PAUSE_NS_MAX);
+        previous_ns = wall_ns;
+        after
+    };
+    let picture = |seen: Seen| {
+        let channel = &index.channels[&seen.channel];
+        RecordedPicture::Message {
+            file: Arc::clone(&file),
+            topic: Arc::clone(&channel.topic),
+            at: seen.at,
+            kind: channel.image.unwrap_or(ImageKind::Raw),
+            encoding: channel.encoding,
+        }
+    };
+    let mut pair = |(i, (wall_ns, pictures)): (usize, (i64, [Option<Seen>; 2]))| RecordedPair {
+        name: format!("{:06}", i + 1),
+        after_ns: after_ns(wall_ns),
+        pictures: pictures.map(|seen| seen.map(picture)),
+    };
+    let pairs = pairs.into_iter().enumerate().map(&mut pair).collect();
+    Ok(Session { path: path.to_owned(), rate_hz, pairs, broken_at })
+}
+
+impl Index {
+    fn record(
+        &mut self,
+        file: &RecordingFile,
+        RecordAt { at, record }: RecordAt<'_>,
+    ) -> Result<(), RecordingError> {
+        match record {
+            Record::Schema { header, .. } => {
+                self.schemas.insert(header.id, header.name);
+            }
+            Record::Channel(channel) => {
+                let schema = self.schemas.get(&channel.schema_id).map_or("no schema", String::as_str);
+                let is_image =
+                    |kind: &ImageKind| kind.schema_name() == schema && channel.message_encoding == "protobuf";
+                let carried = Channel {
+                    image: ImageKind::ALL.into_iter().find(is_image),
+                    about: format!("{schema}, {}", channel.message_encoding),
+                    encoding: foxglove::colour_of(&channel.metadata),
+                    topic: channel.topic.into(),
+                };
+                self.channels.insert(channel.id, carried);
+            }
+            Record::Message { header, data } => {
+                let Some(channel) = self.channels.get(&header.channel_id) else { return Ok(()) };
+                if let (Some(kind), Some(side)) = (channel.image, side_of(&channel.topic)) {
+                    let topic = self.topics[side.index()].get_or_insert_with(|| Arc::clone(&channel.topic));
+                    if *topic != channel.topic {
+                        return Ok(());
+                    }
+                    let stamp = stamp_of(kind, &data).map_err(|reason| RecordingError::Message {
+                        path: file.path().to_owned(),
+                        topic: channel.topic.to_string(),
+                        at_byte: at.byte,
+                        reason,
+                    })?;
+                    let logged_ns = i64::try_from(header.log_time).unwrap_or(i64::MAX);
+                    let wall_ns = stamp.unwrap_or(logged_ns);
+                    self.pictures[side.index()].push(Seen { wall_ns, at, channel: header.channel_id });
+                }
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// For the message about what is missing.
+    fn all_topics(&self) -> String {
+        let mut topics: Vec<_> =
+            self.channels.values().map(|c| format!("{} ({})", c.topic, c.about)).collect();
+        topics.sort();
+        topics.dedup();
+        if topics.is_empty() { "none".into() } else { topics.join("; ") }
+    }
+}
+
+/// The camera that a topic belongs to.
+fn side_of(topic: &str) -> Option<Side> {
+    let topic = topic.to_ascii_lowercase();
+    let has = |side: &Side| topic.contains(side.name());
+    match Side::BOTH.map(|side| has(&side)) {
+        [true, false] => Some(Side::Left),
+        [false, true] => Some(Side::Right),
+        _ => None,
+    }
+}
+
+/// The time stamp in a picture message.
+fn stamp_of(kind: ImageKind, data: &[u8]) -> Result<Option<i64>, MessageError> {
+    let stamp = match kind {
+        ImageKind::Compressed => CompressedImage::decode(data)?.timestamp,
+        ImageKind::Raw => RawImage::decode(data)?.timestamp,
+    };
+    Ok(stamp.as_ref().map(foxglove::wall_ns))
+}
+
+/// The middle one of the times from picture to picture; none where there are no two, or all have one time.
+fn middle_period_ns(pictures: &[Seen]) -> Option<i64> {
+    let mut periods: Vec<i64> =
+        pictures.windows(2).map(|two| two[1].wall_ns.saturating_sub(two[0].wall_ns)).collect();
+    periods.sort_unstable();
+    periods.get(periods.len() / 2).copied().filter(|&ns| ns > 0)
+}
+
+/// Pictures of both sides that are at most `window_ns` apart, and those that are alone, in order of time.
+fn pair_up(left: &[Seen], right: &[Seen], window_ns: i64) -> Vec<(i64, [Option<Seen>; 2])> {
+    let mut pairs = Vec::with_capacity(left.len());
+    let (mut lefts, mut rights) = (left.iter().copied().peekable(), right.iter().copied().peekable());
+    loop {
+        let (l, r) = (lefts.peek().copied(), rights.peek().copied());
+        let later_ns = match (l, r) {
+            (Some(l), Some(r)) => r.wall_ns.saturating_sub(l.wall_ns),
+            (Some(_), None) => i64::MAX,
+            (None, Some(_)) => i64::MIN,
+            (None, None) => return pairs,
+        };
+        let together = l.is_some() && r.is_some() && later_ns.saturating_abs() <= window_ns;
+        let l = lefts.next_if(|_| together || later_ns > 0);
+        let r = rights.next_if(|_| together || later_ns <= 0);
+        let wall_ns = l.into_iter().chain(r).map(|seen| seen.wall_ns).min().unwrap_or(0);
+        pairs.push((wall_ns, [l, r]));
+    }
+}

@@ -1,0 +1,186 @@
+use std::collections::BTreeMap;
+use std::io::Cursor;
+
+use mcap::records::MessageHeader;
+use mcap::{Compression, WriteOptions};
+use prost::Message;
+
+use super::foxglove::{CompressedImage, RawImage, timestamp};
+use super::*;
+use crate::frame::PixelFormat;
+
+const WALL_NS: i64 = 1_700_000_000_000_000_000;
+
+fn jpeg() -> Vec<u8> {
+    let mut bytes = Cursor::new(Vec::new());
+    image::RgbImage::from_pixel(8, 8, image::Rgb([200, 2, 3]))
+        .write_to(&mut bytes, image::ImageFormat::Jpeg)
+        .unwrap();
+    bytes.into_inner()
+}
+
+fn raw(encoding: &str, width: u32, height: u32, step: u32, data: Vec<u8>) -> Vec<u8> {
+    let encoding = encoding.into();
+    RawImage { width, height, encoding, step, data, ..Default::default() }.encode_to_vec()
+}
+
+/// A file that other programs could have written.
+struct Foreign {
+    writer: mcap::Writer<Cursor<Vec<u8>>>,
+}
+
+impl Foreign {
+    fn new(compression: Option<Compression>) -> Self {
+        let options = WriteOptions::new().compression(compression).chunk_size(Some(2000));
+        Self { writer: options.create(Cursor::new(Vec::new())).unwrap() }
+    }
+
+    fn topic(&mut self, topic: &str, schema: &str, encoding: &str) -> u16 {
+        let schema = self.writer.add_schema(schema, encoding, b"").unwrap();
+        self.writer.add_channel(schema, topic, encoding, &BTreeMap::new()).unwrap()
+    }
+
+    fn message(&mut self, channel_id: u16, at_ns: i64, data: &[u8]) {
+        let time = (WALL_NS + at_ns) as u64;
+        let header = MessageHeader { channel_id, sequence: 0, log_time: time, publish_time: time };
+        self.writer.write_to_known_channel(&header, data).unwrap();
+    }
+
+    fn bytes(mut self) -> Vec<u8> {
+        self.writer.finish().unwrap();
+        self.writer.into_inner().into_inner()
+    }
+}
+
+/// Six pairs, 50 ms apart; the right picture of the third is missing.
+fn six_pairs(compression: Option<Compression>) -> Vec<u8> {
+    let mut file = Foreign::new(compression);
+    let left = file.topic("/cell/Left", "foxglove.CompressedImage", "protobuf");
+    let right = file.topic("/cell/right", "foxglove.RawImage", "protobuf");
+    file.topic("/other", "std_msgs/String", "ros1msg");
+    for i in 0..6 {
+        let at_ns = i * 50_000_000;
+        let stamp = Some(timestamp(WALL_NS + at_ns));
+        let image =
+            CompressedImage { timestamp: stamp, format: "jpeg".into(), data: jpeg(), ..Default::default() };
+        // Logged long after the light was seen: the stamp counts.
+        file.message(left, 7_000_000_000 - at_ns, &image.encode_to_vec());
+        if i != 2 {
+            file.message(right, at_ns + 3_000_000, &raw("mono8", 8, 8, 8, vec![i as u8; 64]));
+        }
+    }
+    file.bytes()
+}
+
+fn write(folder: &Path, name: &str, bytes: &[u8]) -> PathBuf {
+    let path = folder.join(name);
+    std::fs::write(&path, bytes).unwrap();
+    path
+}
+
+#[test]
+fn a_recording_gives_its_pairs_by_their_time_stamps() {
+    let folder = tempfile::tempdir().unwrap();
+    for compression in [None, Some(Compression::Lz4), Some(Compression::Zstd)] {
+        let session = Session::open(&write(folder.path(), "a.mcap", &six_pairs(compression))).unwrap();
+        assert!((session.rate_hz - 20.0).abs() < 1e-6 && session.break_note().is_none());
+        let there = |pair: &RecordedPair| pair.pictures.each_ref().map(Option::is_some);
+        let pairs: Vec<_> = session.pairs.iter().map(|p| (&*p.name, there(p))).collect();
+        assert_eq!((pairs.len(), pairs[0], pairs[2]), (6, ("000001", [true; 2]), ("000003", [true, false])));
+        assert_eq!((session.pairs[0].after_ns, session.pairs[5].after_ns), (0, 250_000_000));
+        let [Some(left), Some(right)] = &session.pairs[4].pictures else { panic!("both") };
+        let left_frame = left.read().unwrap();
+        assert_eq!((left_frame.format, left_frame.width), (PixelFormat::Mjpeg, 8));
+        assert_eq!(left_frame.bytes, jpeg());
+        assert_eq!(left.read_raw().unwrap().format, PixelFormat::Rgb);
+        let right_frame = right.read().unwrap();
+        assert_eq!((right_frame.format, &right_frame.bytes[..]), (PixelFormat::Grey, &[4; 64][..]));
+        assert!(right.place().display().to_string().contains("a.mcap, /cell/right at byte "));
+    }
+}
+
+#[test]
+fn a_recording_that_breaks_off_is_read_up_to_there_and_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let whole = six_pairs(Some(Compression::Lz4));
+    let mut lengths = Vec::new();
+    for cut in (1000..whole.len()).step_by(97) {
+        match Session::open(&write(folder.path(), "cut.mcap", &whole[..cut])) {
+            Ok(session) => {
+                lengths.push(session.pairs.len());
+                assert!(session.break_note().unwrap().contains("cut.mcap: its end is missing"));
+            }
+            Err(e) => assert!(e.to_string().contains("no pictures of two cameras"), "{e}"),
+        }
+    }
+    assert!(lengths.is_sorted() && lengths.last() == Some(&6), "{lengths:?}");
+    let zeros = [&whole[..whole.len() - 60], &[0; 4096]].concat();
+    let session = Session::open(&write(folder.path(), "zeros.mcap", &zeros)).unwrap();
+    assert_eq!((session.pairs.len(), session.broken_at.is_some()), (6, true));
+}
+
+#[test]
+fn what_is_no_recording_is_named_with_its_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let message =
+        |name: &str, bytes: &[u8]| Session::open(&write(folder.path(), name, bytes)).unwrap_err().to_string();
+    assert!(message("e.mcap", b"").ends_with("before its first second has nothing to show"));
+    assert!(message("t.mcap", b"hello there, no recording").contains("t.mcap: not an MCAP file"));
+    assert!(message("s.mcap", b"\x89MC").contains("not an MCAP file"));
+    let mut whole = six_pairs(Some(Compression::Lz4));
+    let middle = whole.len() / 3;
+    whole[middle] ^= 0x55;
+    let damaged = message("d.mcap", &whole);
+    assert!(damaged.contains("d.mcap: damaged at byte ") && damaged.contains("fetch the file again"));
+    let mut file = Foreign::new(None);
+    let images = file.topic("/camera/image", "sensor_msgs/Image", "ros1");
+    file.message(images, 0, b"x");
+    let foreign = message("f.mcap", &file.bytes());
+    assert!(foreign.ends_with("there are: /camera/image (sensor_msgs/Image, ros1)"), "{foreign}");
+    let mut file = Foreign::new(None);
+    let left = file.topic("/left", "foxglove.RawImage", "protobuf");
+    file.message(left, 0, b"\xff\xff\xff");
+    let broken = message("p.mcap", &file.bytes());
+    assert!(
+        broken.contains("the message on /left at byte ") && broken.contains("cannot be read"),
+        "{broken}"
+    );
+}
+
+#[test]
+fn a_picture_of_a_recording_must_be_whole_and_in_a_format_of_cameras() {
+    let place = || PathBuf::from("x");
+    let read = |message: &[u8]| picture::from_message(message, ImageKind::Raw, Default::default(), place());
+    for (encoding, step, bytes) in [("nv12", 4, 24), ("yuyv", 8, 32), ("rgb8", 13, 60), ("bgr8", 12, 48)] {
+        let frame = read(&raw(encoding, 4, 4, step, vec![1; bytes])).unwrap();
+        assert_eq!(frame.stride_bytes, step as usize, "{encoding}");
+    }
+    let message = |bytes: &[u8]| read(bytes).unwrap_err().to_string();
+    assert!(message(&raw("32FC1", 4, 4, 16, vec![0; 64])).contains("encoding \"32FC1\"; possible are yuyv"));
+    assert!(message(&raw("rgb8", 4, 4, 12, vec![0; 47])).contains("47 bytes with 12 a row for 4x4 pixels"));
+    assert!(message(&raw("rgb8", 4, 4, 11, vec![0; 48])).contains("no whole picture"));
+    assert!(message(&raw("mono8", 0, 4, 11, vec![0; 48])).contains("no whole picture"));
+    assert!(message(&raw("mono8", 9000, 1, 9000, vec![])).contains("at most 8192 a side"));
+}
+
+proptest::proptest! {
+    #![proptest_config(proptest::prelude::ProptestConfig { cases: 200, ..Default::default() })]
+    #[test]
+    fn no_change_of_bytes_makes_the_reader_panic_or_hang(
+        compression in 0..3usize,
+        changes in proptest::collection::vec((0.0..1.0f64, proptest::prelude::any::<u8>()), 1..6),
+    ) {
+        let compression = [None, Some(Compression::Lz4), Some(Compression::Zstd)][compression];
+        let mut bytes = six_pairs(compression);
+        for (at, byte) in changes {
+            let at = (at * bytes.len() as f64) as usize;
+            bytes[at] = byte;
+        }
+        let folder = tempfile::tempdir().unwrap();
+        if let Ok(session) = Session::open(&write(folder.path(), "x.mcap", &bytes)) {
+            for picture in session.pairs.iter().flat_map(|pair| pair.pictures.iter().flatten()) {
+                let _ = picture.read();
+            }
+        }
+    }
+}
