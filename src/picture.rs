@@ -9,12 +9,14 @@ use crate::vision::binarize::{self, Binarize, ColourRange};
 use crate::vision::bits::BitImage;
 use crate::vision::decode::{Decoder, Output};
 use crate::vision::graph::{self, Graph, Graphs};
+use crate::vision::luma::LumaPlane;
 use crate::vision::thin::Thin;
 
 /// The stages of one camera and what they made of its last picture.
 pub struct Picture {
     camera: CameraModel,
     decoder: Decoder,
+    luma: LumaPlane,
     binarize: Binarize,
     thin: Thin,
     graphs: Graphs,
@@ -35,6 +37,7 @@ impl Picture {
         let output = if binarize.needs_luma_only() { Output::Grey } else { Output::Rgb };
         Ok(Self {
             decoder: Decoder::new(output, width, height),
+            luma: LumaPlane::new(width, height),
             binarize,
             thin: Thin::new(params.thin, width, height),
             graphs: Graphs::new(
@@ -59,17 +62,24 @@ impl Picture {
         let begin = Timestamp::now();
         let raw = self.decoder.run(frame).map_err(|_| Refusal::Damaged { side })?;
         let decoded = Timestamp::now();
-        self.binarize.run(raw, &mut self.mask).map_err(|reason| Refusal::Binarize { side, reason })?;
+        let refused = |reason| Refusal::Binarize { side, reason };
+        self.binarize.check(raw).map_err(refused)?;
+        let luma = match raw.format {
+            PixelFormat::Grey => raw,
+            _ => self.luma.run(raw, self.binarize.encoding(raw)),
+        };
+        let seen = if self.binarize.needs_luma_only() { luma } else { raw };
+        self.binarize.run(seen, &mut self.mask).map_err(refused)?;
         let range = self.binarize.params();
         let is_light_on_dark = !range.inverted && range.colour == ColourRange::Auto;
-        if is_light_on_dark && self.mask.words().iter().all(|&word| word == 0) && is_white(raw) {
+        if is_light_on_dark && self.mask.words().iter().all(|&word| word == 0) && is_white(luma) {
             return Err(Refusal::White { side });
         }
         let binary = Timestamp::now();
         self.thin.run(&self.mask, &mut self.skeleton);
         let thinned = Timestamp::now();
         self.graphs
-            .run(&self.skeleton, &self.mask, Some(raw), &mut self.graph)
+            .run(&self.skeleton, &self.mask, Some(luma), &mut self.graph)
             .map_err(|reason| Refusal::Graph { side, reason })?;
         self.image_nodes.run(&self.graph, &self.mask, &self.camera);
         let done = Timestamp::now();
@@ -101,9 +111,10 @@ impl Picture {
         self.image_nodes.nodes()
     }
 
-    /// The uncompressed picture of `frame`, which must be the one of the last run.
-    pub(crate) fn raw<'a>(&'a self, frame: &'a Frame) -> &'a Frame {
-        if frame.format == PixelFormat::Mjpeg { self.decoder.raw() } else { frame }
+    /// The luma of `frame`, which must be the one of the last run.
+    pub(crate) fn luma<'a>(&'a self, frame: &'a Frame) -> &'a Frame {
+        let raw = if frame.format == PixelFormat::Mjpeg { self.decoder.raw() } else { frame };
+        if raw.format == PixelFormat::Grey { raw } else { self.luma.plane() }
     }
 }
 
@@ -111,9 +122,9 @@ impl Picture {
 const WHITE_LUMA_MIN: u8 = 250;
 
 /// Whether 99 of 100 pixels are saturated; every fourth pixel of every fourth row is looked at.
-fn is_white(raw: &Frame) -> bool {
-    let Some(view) = LumaView::new(raw) else { return false };
-    let places = (0..raw.height).step_by(4).flat_map(|y| (0..raw.width).step_by(4).map(move |x| (x, y)));
+fn is_white(luma: &Frame) -> bool {
+    let Some(view) = LumaView::new(luma) else { return false };
+    let places = (0..luma.height).step_by(4).flat_map(|y| (0..luma.width).step_by(4).map(move |x| (x, y)));
     let (mut white, mut all) = (0usize, 0usize);
     for (x, y) in places {
         all += 1;

@@ -222,7 +222,7 @@ impl Recognizer {
             return false;
         }
         for (side, frame) in [&pair.left, &pair.right].into_iter().enumerate() {
-            let Some(luma) = LumaView::new(pictures[side].raw(frame)) else { return false };
+            let Some(luma) = LumaView::new(pictures[side].luma(frame)) else { return false };
             let dark = params.binarize[side].inverted;
             ridges[side].run(luma, pictures[side].mask(), &areas[side], dark, half_px[side]);
         }

@@ -45,7 +45,7 @@ pub(super) fn views<'a>(
             camera,
             rotation: camera_from_left.rotation.to_rotation_matrix().into_inner(),
             camera_from_left,
-            profiler: Profiler::new(LumaView::new(picture.raw(frame))?, inverted, CONTRAST_MIN),
+            profiler: Profiler::new(LumaView::new(picture.luma(frame))?, inverted, CONTRAST_MIN),
             mask: picture.mask(),
         })
     };

@@ -242,6 +242,14 @@ fn luma_row(luma: Luma<'_>, y: usize, row: &mut [u8]) {
     }
 }
 
+/// See [`super::kernel::luma_rows`].
+#[target_feature(enable = "avx512f,avx512bw,avx512vbmi,avx512vnni,bmi2")]
+pub(super) fn luma_rows(luma: Luma<'_>, stride: usize, out: &mut [u8]) {
+    for (y, row) in out.chunks_exact_mut(stride).enumerate() {
+        luma_row(luma, y, row);
+    }
+}
+
 /// See [`super::kernel::auto`].
 #[target_feature(enable = "avx512f,avx512bw,avx512vbmi,avx512vnni,bmi2")]
 pub(super) fn auto(auto: &mut Auto, luma: Luma<'_>, dark: bool, bits: &mut BitImage) {

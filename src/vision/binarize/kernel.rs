@@ -7,6 +7,7 @@ use super::speck::Specks;
 #[cfg(target_arch = "x86_64")]
 use super::{avx2, avx512};
 use crate::frame::colour::Ycbcr;
+use crate::frame::{Frame, PixelFormat};
 use crate::vision::{bits::BitImage, level::Level};
 use std::ops::Range;
 
@@ -52,7 +53,7 @@ impl LevelBox {
 
 /// Where luma is in the bytes of a pixel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum LumaLayout {
+pub(in crate::vision) enum LumaLayout {
     /// BT.601 luma of three bytes R, G, B.
     Rgb,
     /// BT.601 luma of three bytes B, G, R.
@@ -65,9 +66,22 @@ pub(super) enum LumaLayout {
 
 /// The luma of a picture, to be tested or read.
 #[derive(Clone, Copy)]
-pub(super) struct Luma<'a> {
+pub(in crate::vision) struct Luma<'a> {
     pub(super) rows: Rows<'a>,
     pub(super) layout: LumaLayout,
+}
+
+impl<'a> Luma<'a> {
+    /// That of a raw frame, of YUV as it is coded.
+    pub(in crate::vision) fn of(frame: &'a Frame) -> Self {
+        let layout = match frame.format {
+            PixelFormat::Rgb => LumaLayout::Rgb,
+            PixelFormat::Bgr => LumaLayout::Bgr,
+            PixelFormat::Grey | PixelFormat::Nv12 | PixelFormat::Mjpeg => LumaLayout::Single,
+            PixelFormat::Yuyv => LumaLayout::Pair,
+        };
+        Self { rows: Rows::of(frame), layout }
+    }
 }
 
 /// Calls the function of this name in the module of the instruction set.
@@ -75,7 +89,7 @@ macro_rules! dispatch {
     ($level:expr, $name:ident($($arg:expr),*)) => {
         match $level {
             #[cfg(target_arch = "x86_64")]
-            // SAFETY: `Binarize` is given only levels that `Level::available` found on this machine.
+            // SAFETY: the stages take only levels that `Level::available` found on this machine.
             Level::Avx512 => unsafe { avx512::$name($($arg),*) },
             #[cfg(target_arch = "x86_64")]
             // SAFETY: as above.
@@ -111,6 +125,11 @@ pub(super) fn luma_between(
     bits: &mut BitImage,
 ) {
     dispatch!(level, luma_between(luma, ys, lo, hi, bits))
+}
+
+/// The luma of all rows to rows of bytes `stride` apart, which is whole blocks of 64; YUV as it is coded.
+pub(in crate::vision) fn luma_rows(level: Level, luma: Luma<'_>, stride: usize, out: &mut [u8]) {
+    dispatch!(level, luma_rows(luma, stride, out))
 }
 
 /// Object: brighter, or where `dark` darker, than the background around.

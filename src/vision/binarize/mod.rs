@@ -36,7 +36,8 @@ pub use error::{ParamsError, Refusal};
 
 use super::{bits::BitImage, level::Level};
 use crate::frame::{ColourEncoding, Frame, PixelFormat, colour};
-use kernel::{ByteBox, LevelBox, Luma, LumaLayout};
+use kernel::{ByteBox, LevelBox};
+pub(super) use kernel::{Luma, luma_rows};
 use rows::Rows;
 
 /// Which pixels are object.
@@ -158,14 +159,20 @@ impl Binarize {
         matches!(self.params.colour, ColourRange::Grey { .. } | ColourRange::Auto)
     }
 
+    /// How the YUV of a frame is read.
+    pub fn encoding(&self, frame: &Frame) -> ColourEncoding {
+        self.params.encoding.unwrap_or(frame.encoding)
+    }
+
     /// Writes every pixel of `bits`.
     ///
     /// # Errors
     /// [`Refusal`] for frames of another size, compressed or short ones; `bits` is then unchanged.
     pub fn run(&mut self, frame: &Frame, bits: &mut BitImage) -> Result<(), Refusal> {
-        self.check(frame, bits)?;
-        let ycbcr = colour::Ycbcr::new(self.params.encoding.unwrap_or(frame.encoding));
-        let luma = Luma { layout: luma_layout(frame.format), rows: rows_of(frame) };
+        self.check(frame)?;
+        self.check_size(bits.width(), bits.height())?;
+        let ycbcr = colour::Ycbcr::new(self.encoding(frame));
+        let luma = Luma::of(frame);
         match self.params.colour {
             ColourRange::Rgb { min, max } => self.rgb_box(frame, ycbcr, min, max, bits),
             ColourRange::Grey { min, max } => self.grey_range(frame, ycbcr, min, max, bits),
@@ -184,7 +191,7 @@ impl Binarize {
         max: [u8; 3],
         bits: &mut BitImage,
     ) {
-        let rows = rows_of(frame);
+        let rows = Rows::of(frame);
         match frame.format {
             PixelFormat::Rgb => kernel::byte_box(self.level, rows, &self.boxes[0], bits),
             PixelFormat::Bgr => kernel::byte_box(self.level, rows, &self.boxes[1], bits),
@@ -202,7 +209,7 @@ impl Binarize {
     }
 
     fn grey_range(&mut self, frame: &Frame, ycbcr: colour::Ycbcr, min: u8, max: u8, bits: &mut BitImage) {
-        let (rows, is_yuv) = (rows_of(frame), matches!(frame.format, PixelFormat::Yuyv | PixelFormat::Nv12));
+        let (rows, is_yuv) = (Rows::of(frame), matches!(frame.format, PixelFormat::Yuyv | PixelFormat::Nv12));
         if is_yuv && (ycbcr.l_u, ycbcr.l_v) != (0, 0) {
             let range = LevelBox::luma(ycbcr, min, max);
             kernel::level_box(self.level, rows, chroma_of(frame), &range, bits);
@@ -220,7 +227,7 @@ impl Binarize {
     fn luma_range(&mut self, frame: &Frame, lo: u8, hi: u8, bits: &mut BitImage) {
         self.ends[0].fill(lo);
         self.ends[1].fill(hi);
-        let luma = Luma { layout: luma_layout(frame.format), rows: rows_of(frame) };
+        let luma = Luma::of(frame);
         kernel::luma_between(self.level, luma, 0..self.height, &self.ends[0], &self.ends[1], bits);
     }
 
@@ -241,13 +248,20 @@ impl Binarize {
         }
     }
 
-    fn check(&self, frame: &Frame, bits: &BitImage) -> Result<(), Refusal> {
-        for (width, height) in [(frame.width, frame.height), (bits.width(), bits.height())] {
-            if (width, height) != (self.width, self.height) {
-                let (wanted_width, wanted_height) = (self.width, self.height);
-                return Err(Refusal::Size { width, height, wanted_width, wanted_height });
-            }
+    fn check_size(&self, width: usize, height: usize) -> Result<(), Refusal> {
+        if (width, height) != (self.width, self.height) {
+            let (wanted_width, wanted_height) = (self.width, self.height);
+            return Err(Refusal::Size { width, height, wanted_width, wanted_height });
         }
+        Ok(())
+    }
+
+    /// Whether a frame can be binarized.
+    ///
+    /// # Errors
+    /// [`Refusal`] for frames of another size, compressed or short ones.
+    pub fn check(&self, frame: &Frame) -> Result<(), Refusal> {
+        self.check_size(frame.width, frame.height)?;
         let row_bytes = match frame.format {
             PixelFormat::Mjpeg => return Err(Refusal::Compressed),
             PixelFormat::Rgb | PixelFormat::Bgr => 3 * frame.width,
@@ -280,20 +294,6 @@ impl ColourRange {
             ColourRange::Auto => Ok(()),
         }
     }
-}
-
-fn luma_layout(format: PixelFormat) -> LumaLayout {
-    match format {
-        PixelFormat::Rgb => LumaLayout::Rgb,
-        PixelFormat::Bgr => LumaLayout::Bgr,
-        PixelFormat::Grey | PixelFormat::Nv12 | PixelFormat::Mjpeg => LumaLayout::Single,
-        PixelFormat::Yuyv => LumaLayout::Pair,
-    }
-}
-
-/// The rows of pixels, or of Y.
-fn rows_of(frame: &Frame) -> Rows<'_> {
-    Rows { bytes: &frame.bytes, stride: frame.stride_bytes }
 }
 
 /// The rows of chroma where they lie apart.

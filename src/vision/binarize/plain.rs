@@ -121,6 +121,13 @@ fn luma_of_pairs(bytes: &[u8; 128]) -> [u8; 64] {
     std::array::from_fn(|i| bytes[2 * i])
 }
 
+/// See [`super::kernel::luma_rows`].
+pub(super) fn luma_rows(luma: Luma<'_>, stride: usize, out: &mut [u8]) {
+    for (y, row) in out.chunks_exact_mut(stride).enumerate() {
+        luma_row(luma, y, row);
+    }
+}
+
 /// See [`super::kernel::auto`].
 pub(super) fn auto(auto: &mut Auto, luma: Luma<'_>, dark: bool, bits: &mut BitImage) {
     let row_of = |y, row: &mut [u8]| luma_row(luma, y, row);

@@ -1,17 +1,23 @@
 //! Walks a picture in blocks of 64 pixels, a word of the bit image each. Reads by bounds-checked slices, so that
 //! the code for one instruction set needs no pointer arithmetic.
 
+use crate::frame::Frame;
 use crate::vision::bits::{BitImage, PAD_ROWS};
 use std::ops::Range;
 
 /// Rows of bytes, `stride` apart.
 #[derive(Clone, Copy)]
-pub(super) struct Rows<'a> {
+pub(in crate::vision) struct Rows<'a> {
     pub(super) bytes: &'a [u8],
     pub(super) stride: usize,
 }
 
 impl<'a> Rows<'a> {
+    /// The rows of pixels, or of Y.
+    pub(super) fn of(frame: &'a Frame) -> Self {
+        Self { bytes: &frame.bytes, stride: frame.stride_bytes }
+    }
+
     /// Row `y` and what follows it, as blocks and the rest.
     #[inline(always)]
     fn row<const BLOCK: usize>(&self, y: usize) -> (&'a [[u8; BLOCK]], &'a [u8]) {

@@ -1,0 +1,130 @@
+//! The luma of a whole picture, a byte a pixel.
+//!
+//! Takes a raw [`Frame`]; gives its BT.601 luma of full range, as [`Frame::luma`] defines it, in a grey frame that
+//! [`LumaPlane`] owns. One pass; whoever measures grey values many times reads it faster than the camera's bytes.
+//!
+//! ```
+//! use pickcell::frame::Frame;
+//! use pickcell::vision::luma::LumaPlane;
+//!
+//! let red = Frame::from_rgb(2, 1, vec![255, 0, 0, 0, 0, 0]);
+//! assert_eq!(LumaPlane::new(2, 1).run(&red, red.encoding).bytes[..2], [76, 0]);
+//! ```
+
+use super::binarize::{self, Luma};
+use super::level::Level;
+use crate::frame::colour::Ycbcr;
+use crate::frame::{ColourEncoding, Frame, PixelFormat};
+
+/// The stage: owns the plane.
+#[derive(Clone, Debug)]
+pub struct LumaPlane {
+    level: Level,
+    plane: Frame,
+}
+
+impl LumaPlane {
+    /// Allocates for pictures of this size in pixels.
+    pub fn new(width: usize, height: usize) -> Self {
+        Self::with_level(width, height, Level::detect())
+    }
+
+    /// As [`LumaPlane::new`] with other instructions, for comparing them; those this machine lacks are not used.
+    pub fn with_level(width: usize, height: usize, level: Level) -> Self {
+        // Rows of whole blocks.
+        let stride_bytes = width.next_multiple_of(64);
+        let bytes = vec![0; stride_bytes * height];
+        let format = PixelFormat::Grey;
+        let plane = Frame { bytes, format, width, height, stride_bytes, ..Frame::default() };
+        Self { level: level.min(Level::detect()), plane }
+    }
+
+    /// The luma of `frame`, whose YUV is read by `encoding`. Where the frame is compressed, of another size or
+    /// short, what is missing is black.
+    pub fn run(&mut self, frame: &Frame, encoding: ColourEncoding) -> &Frame {
+        let Self { level, plane } = self;
+        let luma = Luma::of(frame);
+        binarize::luma_rows(*level, luma, plane.stride_bytes, &mut plane.bytes);
+        if matches!(frame.format, PixelFormat::Yuyv | PixelFormat::Nv12) {
+            let ycbcr = Ycbcr::new(encoding);
+            if (ycbcr.l_u, ycbcr.l_v) != (0, 0) {
+                with_chroma(frame, &ycbcr, plane);
+            } else if ycbcr.y_offset != 0 {
+                let levels: [u8; 256] = std::array::from_fn(|y| ycbcr.luma(y as u8, 128, 128));
+                plane.bytes.iter_mut().for_each(|y| *y = levels[usize::from(*y)]);
+            }
+        }
+        plane
+    }
+
+    /// The plane of the last run.
+    pub fn plane(&self) -> &Frame {
+        &self.plane
+    }
+}
+
+/// Of Y'CbCr by another matrix than BT.601's, where luma depends on chroma as well: `plane` holds Y.
+fn with_chroma(frame: &Frame, ycbcr: &Ycbcr, plane: &mut Frame) {
+    for (y, row) in plane.bytes.chunks_exact_mut(plane.stride_bytes).enumerate() {
+        let (at, step) = match frame.format {
+            PixelFormat::Yuyv => (y * frame.stride_bytes + 1, 4),
+            _ => ((frame.height + y / 2) * frame.stride_bytes, 2),
+        };
+        let chroma = frame.bytes.get(at..).unwrap_or_default().chunks(step);
+        let distance = step / 2;
+        for (pair, chroma) in row[..plane.width].chunks_mut(2).zip(chroma) {
+            let [u, v] = [0, distance].map(|i| chroma.get(i).copied().unwrap_or(128));
+            pair.iter_mut().for_each(|y| *y = ycbcr.luma(*y, u, v));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::{LumaView, QuantizationRange, YcbcrMatrix};
+    use rand::{RngExt, SeedableRng};
+
+    #[test]
+    fn every_pixel_is_what_the_frame_says_with_all_instructions() {
+        let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(3);
+        let formats = [
+            (PixelFormat::Rgb, 3),
+            (PixelFormat::Bgr, 3),
+            (PixelFormat::Grey, 1),
+            (PixelFormat::Yuyv, 2),
+            (PixelFormat::Nv12, 1),
+        ];
+        for (format, pixel) in formats {
+            for matrix in [YcbcrMatrix::Bt601, YcbcrMatrix::Bt709] {
+                for range in [QuantizationRange::Limited, QuantizationRange::Full] {
+                    let (width, height, stride_bytes) = (70, 5, 70 * pixel + 6);
+                    let encoding = ColourEncoding { matrix, range };
+                    let mut frame =
+                        Frame { format, width, height, stride_bytes, encoding, ..Frame::default() };
+                    frame.bytes = (0..frame.bytes_needed()).map(|_| random.random_range(0..=255)).collect();
+                    let view = LumaView::new(&frame).unwrap();
+                    for level in Level::available() {
+                        let mut stage = LumaPlane::with_level(width, height, *level);
+                        let plane = LumaView::new(stage.run(&frame, encoding)).unwrap();
+                        for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
+                            assert_eq!(
+                                plane.at(x, y),
+                                view.at(x, y),
+                                "{format:?} {encoding:?} {level:?} {x} {y}"
+                            );
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_short_frame_is_black_where_it_ends() {
+        let short = Frame { bytes: vec![255; 3 * 64], ..Frame::from_rgb(64, 2, vec![255; 3 * 128]) };
+        let mut stage = LumaPlane::new(64, 2);
+        let plane = stage.run(&short, short.encoding);
+        assert_eq!((plane.luma(63, 0), plane.luma(0, 1)), (255, 0));
+    }
+}
