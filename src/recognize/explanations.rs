@@ -3,7 +3,7 @@
 //! Takes hypotheses, fittest first, and both pictures; gives those that stand. Owns the explanations and the maps of what
 //! they claim.
 
-use nalgebra::{Isometry3, Vector2, Vector3};
+use nalgebra::{Isometry3, Matrix6, Vector2, Vector3};
 
 use super::prepared::Prepared;
 use crate::matching::fitness::UNMATCHED;
@@ -32,6 +32,8 @@ pub(super) struct Explanation {
     pub(super) hypothesis: Hypothesis,
     pub(super) fit: Fit,
     pub(super) verdict: Verdict,
+    /// See [`Refine::covariance`].
+    pub(super) covariance: Matrix6<f64>,
     /// Whether its wire has been claimed before the competition.
     has_claimed: bool,
     /// How many stood when it was last asked what it is worth, and what it was worth then.
@@ -87,7 +89,7 @@ impl Explanations {
         }
     }
 
-    /// What is claimed: until the competition by what is certain or sound, then by what stands.
+    /// What is claimed: until the competition by what is certain, sound or whole, then by what stands.
     pub(super) fn claims(&self) -> &[ClaimMap; 2] {
         &self.claims
     }
@@ -155,6 +157,7 @@ impl Explanations {
                 hypothesis: *hypothesis,
                 fit,
                 verdict,
+                covariance: Matrix6::zeros(),
                 has_claimed: false,
                 worth: (0, Worth::NONE),
             });
@@ -163,6 +166,7 @@ impl Explanations {
         (explanation.hypothesis, explanation.fit, explanation.has_claimed) = (*hypothesis, fit, false);
         let verdict = &mut explanation.verdict;
         verify(&self.refine, model, &prepared.stops, &fit.left_from_part, &scene.views, verdict);
+        explanation.covariance = self.refine.covariance(model, &fit);
         if select::is_certain(&fit, verdict, model.ends.len()) {
             self.claim(self.count);
             for end in self.refine.ends() {
@@ -219,19 +223,52 @@ impl Explanations {
         2 * claimed > probed
     }
 
+    /// Claims the wire of those that would stand now and are worth all their wire, besides what is claimed for certain.
+    pub(super) fn claim_whole(&mut self, parts: &[Prepared], params: &select::Params) {
+        self.begin_competition(parts, params);
+        let mut standing = 0;
+        while let Some((index, worth_mm)) = self.most_valuable(parts, params, standing) {
+            let Explanation { hypothesis, has_claimed, .. } = &self.list[index];
+            if *has_claimed || worth_mm >= parts[hypothesis.part].pose_model.length_mm {
+                self.claim(index);
+                standing += 1;
+            }
+        }
+    }
+
     /// Lets the explanations compete for the wire: the one that is worth most stands and claims its wire, then the next.
     /// Gives those that stand to `stands`, until that says that it is enough.
     pub(super) fn compete(
         &mut self,
         parts: &[Prepared],
         params: &select::Params,
-        mut stands: impl FnMut(&Explanation, &mut Refine) -> bool,
+        mut stands: impl FnMut(&Explanation, &Refine) -> bool,
     ) {
+        self.begin_competition(parts, params);
+        let mut standing = 0;
+        while let Some((index, _)) = self.most_valuable(parts, params, standing) {
+            self.claim(index);
+            standing += 1;
+            if !stands(&self.list[index], &self.refine) {
+                return;
+            }
+        }
+    }
+
+    fn begin_competition(&mut self, parts: &[Prepared], params: &select::Params) {
         self.claims.iter_mut().for_each(ClaimMap::clear);
         for explanation in &mut self.list[..self.count] {
             explanation.worth = (0, explanation.worth(parts, params, &self.claims));
         }
-        let mut standing = 0;
+    }
+
+    /// The one that is worth most, given what the `standing` ones before have claimed, and what it is worth; once.
+    fn most_valuable(
+        &mut self,
+        parts: &[Prepared],
+        params: &select::Params,
+        standing: u32,
+    ) -> Option<(usize, f64)> {
         loop {
             // A worth from before the last claim says only how much it is at most.
             let worth_mm = |e: &Explanation| match e.worth {
@@ -239,17 +276,12 @@ impl Explanations {
                 (_, worth) => worth.at_most_mm,
             };
             let most = self.all().iter().map(worth_mm).enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
-            let Some((index, _)) = most.filter(|(_, worth_mm)| *worth_mm > 0.0) else { return };
-            if self.list[index].worth.0 < standing {
-                self.list[index].worth = (standing, self.list[index].worth(parts, params, &self.claims));
-                continue;
+            let (index, worth_mm) = most.filter(|(_, worth_mm)| *worth_mm > 0.0)?;
+            if self.list[index].worth.0 == standing {
+                self.list[index].worth.1 = Worth::NONE;
+                return Some((index, worth_mm));
             }
-            self.list[index].worth.1 = Worth::NONE;
-            self.claim(index);
-            standing += 1;
-            if !stands(&self.list[index], &mut self.refine) {
-                return;
-            }
+            self.list[index].worth = (standing, self.list[index].worth(parts, params, &self.claims));
         }
     }
 }

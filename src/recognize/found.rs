@@ -13,7 +13,8 @@ use crate::matching::nodes::NodeRole;
 use crate::matching::select;
 use crate::part::NODES_MAX;
 use crate::picture::Picture;
-use crate::pose::refine::{Refine, View};
+use crate::pose::refine::View;
+use crate::pose::shading::Shading;
 use crate::rig::Rig;
 
 /// The part that an explanation is.
@@ -24,17 +25,15 @@ pub(super) fn found(
     pictures: &[Picture; 2],
     prepared: &Prepared,
     e: &Explanation,
-    refine: &mut Refine,
+    shading: &Shading,
     views: &[View; 2],
     iterations: u64,
 ) -> FoundPart {
     let pose = e.fit.left_from_part;
     let placed = prepared.placed(&pose, 0.0);
     let grasp = grasp::grasp_of(&params.grasp, &placed);
-    let covariance = refine.covariance(&prepared.pose_model, &e.fit, views);
-    let per_skew = refine.shading().across_per_skew;
-    let beside = displaced_by_lamp(per_skew, prepared.pose_model.radius_mm, &e.verdict, views);
-    let (sigma_mm, sigma_axis_rad) = sigmas(&params.grasp, prepared, &pose, &covariance, &beside);
+    let beside = displaced_by_lamp(shading.across_per_skew, prepared.pose_model.radius_mm, &e.verdict, views);
+    let (sigma_mm, sigma_axis_rad) = sigmas(&params.grasp, prepared, &pose, &e.covariance, &beside);
     let sees = |side: usize, px: &Vector2<f64>| {
         pictures[side]
             .nodes()

@@ -119,6 +119,7 @@ impl Recognizer {
         let matched = Timestamp::now();
         self.explanations.clear(self.pictures.each_ref().map(Picture::nodes));
         self.explain(pair, budget, out);
+        self.explanations.claim_whole(&self.parts, &self.params.select);
         if !budget.is_over() && self.search_ridges(pair) {
             self.explain(pair, budget, out);
         }
@@ -269,7 +270,16 @@ impl Recognizer {
         explanations.compete(parts, &params.select, |explanation, refine| {
             let prepared = &parts[explanation.hypothesis.part];
             let iterations = out.iterations;
-            out.parts.push(found(params, rig, pictures, prepared, explanation, refine, &views, iterations));
+            out.parts.push(found(
+                params,
+                rig,
+                pictures,
+                prepared,
+                explanation,
+                refine.shading(),
+                &views,
+                iterations,
+            ));
             out.parts.len() < PARTS_MAX
         });
     }

@@ -10,7 +10,7 @@
 use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, Vector3};
 
 use super::equations::{Doubt, MEASUREMENTS_MAX, Measurement, START_SIGMA};
-use super::{FINE_NEXT, Fit, Refine, Shading, View};
+use super::{FINE_NEXT, Fit, Refine, Shading};
 use crate::pose::model::PoseModel;
 
 type Unknowns = SVector<f64, 8>;
@@ -48,13 +48,13 @@ impl Observation {
 }
 
 impl Refine {
-    /// Covariance of a small displacement (mm) and rotation (radians) of a refined pose about the part's centre, left
-    /// camera's axes: of what is different from place to place, and of what the light does to all of the wire.
-    pub fn covariance(&mut self, model: &PoseModel, fit: &Fit, views: &[View; 2]) -> Matrix6<f64> {
+    /// Covariance of a small displacement (mm) and rotation (radians) of the pose of the last [`Refine::fine`] about the
+    /// part's centre, left camera's axes: of what is different from place to place, and of what the light does to all of
+    /// the wire.
+    pub fn covariance(&mut self, model: &PoseModel, fit: &Fit) -> Matrix6<f64> {
         let pose = &fit.left_from_part;
         let (search_px, scales_px) = FINE_NEXT;
         let scale = scales_px[3] / self.params.section_sigma_px;
-        self.look(model, pose, views, search_px);
         let mut observations = std::mem::take(&mut self.observations);
         observations.clear();
         self.observe_outlines(model, search_px, |measurement, origin| {
