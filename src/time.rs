@@ -30,6 +30,30 @@ impl Timestamp {
     }
 }
 
+/// Wall time minus [`Timestamp`] time at this moment, ns: what makes dates of the cell's times.
+pub fn wall_from_cell_ns() -> i64 {
+    let wall = rustix::time::clock_gettime(rustix::time::ClockId::Realtime);
+    wall.tv_sec * 1_000_000_000 + wall.tv_nsec - Timestamp::now().0
+}
+
+/// A wall time as the name of a file: `2026-03-01T12-30-05.250Z`, proleptic Gregorian, UTC.
+pub fn utc_name(wall_ns: i64) -> String {
+    let ms = wall_ns.div_euclid(1_000_000);
+    let (days, ms_of_day) = (ms.div_euclid(86_400_000), ms.rem_euclid(86_400_000));
+    // Days since 0000-03-01 in eras of 400 years: months of 30.6 days from March on, the leap day at the end.
+    let since_march = days + 719_468;
+    let (era, day_of_era) = (since_march.div_euclid(146_097), since_march.rem_euclid(146_097));
+    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let month_from_march = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * month_from_march + 2) / 5 + 1;
+    let month = if month_from_march < 10 { month_from_march + 3 } else { month_from_march - 9 };
+    let year = year_of_era + era * 400 + i64::from(month <= 2);
+    let [h, m, s] = [3_600_000, 60_000, 1000].map(|unit| ms_of_day / unit);
+    let (minute, second, milli) = (m % 60, s % 60, ms_of_day % 1000);
+    format!("{year:04}-{month:02}-{day:02}T{h:02}-{minute:02}-{second:02}.{milli:03}Z")
+}
+
 /// What a search may use up. A live cell gives it the time that is left; tests, accuracy runs and replays give it
 /// a count, so that their results do not depend on the machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -81,6 +105,16 @@ impl Budget {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_wall_time_has_its_date_as_name() {
+        let name = |seconds: i64| utc_name(seconds * 1_000_000_000 + 250_000_000);
+        assert_eq!(name(0), "1970-01-01T00-00-00.250Z");
+        assert_eq!(name(951_782_400), "2000-02-29T00-00-00.250Z");
+        assert_eq!(name(1_772_368_205), "2026-03-01T12-30-05.250Z");
+        assert_eq!(name(4_107_542_399), "2100-02-28T23-59-59.250Z");
+        assert_eq!(name(4_107_542_400), "2100-03-01T00-00-00.250Z");
+    }
 
     #[test]
     fn a_counted_budget_ends_with_its_count() {

@@ -1,16 +1,18 @@
-//! The loops of a running cell take no memory after their first pairs: a counting allocator says so.
+//! The loops of a running cell, with what they say for a recording, take no memory after their first pairs: a
+//! counting allocator says so.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::path::Path;
 use std::time::Duration;
 
+use firmware_bridge::message::{Command, Report};
 use pickcell::arm::Arm;
 use pickcell::camera::replay::Pace;
 use pickcell::camera::{Camera, Condition, Grab, ReplayCamera, Side};
 use pickcell::cell::carrier::Carrier;
 use pickcell::cell::core::{Core, Event, Operator, Params, PlaceRecord};
-use pickcell::cell::desk::{Desk, Letter, Paper, Seats};
+use pickcell::cell::desk::{Desk, Letter, Logged, Paper, Said, Seats};
 use pickcell::cell::recogniser::recognise;
 use pickcell::recognize::Recognizer;
 use pickcell::time::Timestamp;
@@ -60,7 +62,7 @@ fn nothing_is_allocated_between_two_pairs() {
     let session = pickcell::session::Session::open(&project.join("replay/conveyor")).unwrap();
     const PAIRS: usize = 60;
     let sides = ReplayCamera::both(&session, &Pace::Every(Duration::ZERO), PAIRS, true).unwrap();
-    let (desk, seats) = Desk::new(2, sides[0].largest_bytes()).unwrap();
+    let (desk, seats) = Desk::new(2, sides[0].largest_bytes(), 256).unwrap();
     let Seats { mut grabs, mut cold, hub, .. } = seats;
     let [mut left, mut right] = sides.map(Camera::Replay);
     let period_ns = 33_000_000;
@@ -122,6 +124,12 @@ fn nothing_is_allocated_between_two_pairs() {
         }
     }
     assert!(sent > 0, "targets go out while it is counted");
+    let (mut commands, mut reports) = (0, 0);
+    while let Ok(Logged { said, .. }) = cold.log.pop() {
+        commands += usize::from(matches!(said, Said::Command(Command::Pick(_), None)));
+        reports += usize::from(matches!(said, Said::Event(Event::Arm(Report::Done { .. }))));
+    }
+    assert!(commands >= sent && reports > 0, "all of it is recorded: {commands} targets, {reports} done");
     assert_eq!(arm_loop, 0, "allocations of the grab and arm loops");
     // The recogniser's own: the list of nodes of every found part, and one a picture.
     let own = parts_found + 2 * (PAIRS - PAIRS / 3) as u64;

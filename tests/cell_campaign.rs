@@ -152,7 +152,7 @@ fn settings(dialect: DialectName) -> Settings {
 
 fn run(seed: u64, settings: &Settings) -> (u32, u64) {
     let faults = [FAULTS[(seed / 4) as usize % 8], FAULTS[(seed / 32) as usize % 8]];
-    let (desk, Seats { grabs, cold, hub, .. }) = Desk::new(2, 16).unwrap();
+    let (desk, Seats { grabs, cold, hub, .. }) = Desk::new(2, 16, 0).unwrap();
     let mut link = SimulatedLink::new(settings, seed as u32, Faults::new(seed, &faults)).unwrap();
     link.arm().set_tempo(4.0);
     let start = Timestamp(1_000_000 * MS);

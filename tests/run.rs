@@ -83,24 +83,58 @@ fn a_session_gives_a_line_and_a_picture_a_pair_and_a_table() {
 
 #[test]
 fn a_fast_session_is_the_same_every_time() {
-    let results = || {
-        let output = Cell::fast(&[]).run(&["--format", "json", "--overlay", "none", "--seed", "5"]);
-        let text = stdout(&output);
-        let mut lines: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-        assert_eq!(lines.len(), 21);
-        assert_eq!(lines.pop().unwrap()["summary"]["counts"]["pairs"], 20);
-        for line in &mut lines {
-            let line = line.as_object_mut().unwrap();
-            assert!(line["time_ms"].is_number());
-            line.remove("time_ms");
-            line.remove("deadline_kept");
-            // Numbers of targets rise from run to run.
-            let sent = line["target"].is_number();
-            line.insert("target".into(), sent.into());
-        }
-        lines
-    };
+    let results = || fast_lines(&Cell::fast(&[]));
     assert_eq!(results(), results());
+}
+
+/// The lines of a fast run, without what differs from run to run.
+fn fast_lines(cell: &Cell) -> Vec<Value> {
+    let output = cell.run(&["--format", "json", "--overlay", "none", "--seed", "5"]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let mut lines: Vec<Value> =
+        stdout(&output).lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    lines.pop();
+    for line in &mut lines {
+        let line = line.as_object_mut().unwrap();
+        line.remove("time_ms");
+        line.remove("deadline_kept");
+        // Numbers of targets rise from run to run.
+        let sent = line["target"].is_number();
+        line.insert("target".into(), sent.into());
+    }
+    lines
+}
+
+#[test]
+fn a_recorded_run_is_the_same_when_it_is_run_again() {
+    let settings = "[recording]\nfolder = \"recordings\"\n[realtime]";
+    let cell = Cell::fast(&[("[realtime]", settings)]);
+    let lines = fast_lines(&cell);
+    let files: Vec<_> = fs::read_dir(cell.path("recordings")).unwrap().map(|e| e.unwrap().path()).collect();
+    let [file] = &files[..] else { panic!("one file a run: {files:?}") };
+    let again = Cell::fast(&[("session = \"", &format!("session = \"{}\" # \"", file.display()))]);
+    assert_eq!(fast_lines(&again), lines);
+    assert_eq!(lines.len(), 20);
+}
+
+#[test]
+fn a_recording_that_cannot_be_made_does_not_stop_the_cell() {
+    let cell = Cell::fast(&[("[realtime]", "[recording]\nfolder = \"cell.toml/x\"\n[realtime]")]);
+    let output = cell.run(&["--overlay", "none"]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert!(stderr(&output).contains("the cell runs without a recording"), "{}", stderr(&output));
+    assert_eq!(row(&stdout(&output), "pairs"), Some(20));
+    let broken = |table: &str, message: &str| {
+        let output = Cell::new(&[("[realtime]", &format!("[recording]\n{table}\n[realtime]"))]).run(&[]);
+        assert_eq!(output.status.code(), Some(2));
+        assert!(stderr(&output).contains(message), "{message:?} in {}", stderr(&output));
+    };
+    broken(
+        "folder = \"x\"\nfile_mb_max = 0",
+        "recording.file_mb_max = 0 is not possible; allowed: 1 to 10000000 MB",
+    );
+    broken("folder = \"\"", "recording.folder");
+    broken("folder = \"x\"\npictures = \"some\"", "recording.pictures");
 }
 
 #[test]

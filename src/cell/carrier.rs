@@ -4,7 +4,7 @@
 //! runs it in the arm's thread; a session played as fast as possible runs it on the session's own time.
 
 use super::core::{Action, Actions, Core, Ending, Event, Job, Note, PairReport, State};
-use super::desk::{Desk, File, Hub, Letter, Paper, Work};
+use super::desk::{Desk, File, Hub, Letter, Paper, Said, Work};
 use super::pairing::{FrameSeen, Handle};
 use crate::arm::Arm;
 use crate::camera::{Condition, Side};
@@ -145,6 +145,7 @@ impl<'a> Carrier<'a> {
 
     /// Tells the core, and does what it says.
     pub fn event(&mut self, event: &Event, now: Timestamp) {
+        self.log_event(event, now);
         let mut actions = std::mem::take(&mut self.actions);
         actions.clear();
         self.core.run(event, now, &mut actions);
@@ -197,6 +198,7 @@ impl<'a> Carrier<'a> {
             }
             Action::Arm(command) => {
                 let refused = self.arm.command(command, now).err();
+                self.log(Said::Command(command, refused), now);
                 if let (firmware_bridge::message::Command::Pick(pick), Some(refusal)) = (command, refused) {
                     // Heard at the next turn at the latest; within this one the core is busy with its own event.
                     self.not_taken(pick.id, refusal, now);
@@ -218,10 +220,24 @@ impl<'a> Carrier<'a> {
 
     /// An event that follows from an action of the one that is being worked off.
     fn event_nested(&mut self, event: &Event, now: Timestamp) {
+        self.log_event(event, now);
         let mut actions = Actions::new();
         self.core.run(event, now, &mut actions);
         for action in actions.iter() {
             self.act(action, now);
+        }
+    }
+
+    /// What a recording does not have anyway: frames and results stand in it with their pairs.
+    fn log_event(&mut self, event: &Event, now: Timestamp) {
+        if !matches!(event, Event::Tick | Event::Frame(_) | Event::Recognised { .. }) {
+            self.log(Said::Event(*event), now);
+        }
+    }
+
+    fn log(&mut self, said: Said, now: Timestamp) {
+        if !self.hub.log(said, now) {
+            self.desk.telemetry.add_unlogged();
         }
     }
 

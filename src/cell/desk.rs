@@ -19,7 +19,9 @@ use std::time::Duration;
 
 use rtrb::{Consumer, Producer, PushError, RingBuffer};
 
-use super::core::{Found, Job, Note, PairReport, PlaceRecord};
+use firmware_bridge::message::{Command, Refusal as ArmRefusal};
+
+use super::core::{Event, Found, Job, Note, PairReport, PlaceRecord};
 use crate::camera::{Condition, Side, Trouble};
 use crate::frame::{Frame, FramePair};
 use crate::handover::Waker;
@@ -78,6 +80,25 @@ pub enum Paper {
     Note(Note, Timestamp),
     /// A pair is finished with; its file where there was one to spare.
     Pair(PairReport, Option<Box<File>>),
+}
+
+/// Something that is written down, and when it was.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Logged {
+    /// The cell's time.
+    pub at: Timestamp,
+    /// What.
+    pub said: Said,
+}
+
+/// What goes into a recording beside the pairs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "moved through a ring that was made before")]
+pub enum Said {
+    /// To the core.
+    Event(Event),
+    /// To the arm; why its side did not take it, if it did not.
+    Command(Command, Option<ArmRefusal>),
 }
 
 /// A pair on its way to the recogniser.
@@ -140,6 +161,8 @@ pub struct ColdSeat {
     pub papers: Consumer<Paper>,
     /// Before any paper: records to be written, synced and answered.
     pub records: Consumer<PlaceRecord>,
+    /// What is to be written down, where a recording is made.
+    pub log: Consumer<Logged>,
     /// To the arm's thread.
     pub outbox: Outbox,
 }
@@ -153,6 +176,8 @@ pub struct Hub {
     stock: Vec<Box<File>>,
     papers: Producer<Paper>,
     records: Producer<PlaceRecord>,
+    /// Without room where nothing is recorded.
+    log: Producer<Logged>,
     papers_waker: Arc<Waker>,
 }
 
@@ -170,12 +195,12 @@ pub struct Seats {
 }
 
 impl Desk {
-    /// `files` pairs may be looked at by the cold thread at a time; frames have room for `frame_bytes`. All memory
-    /// is taken here.
+    /// `files` pairs may be looked at by the cold thread at a time; frames have room for `frame_bytes`; so many
+    /// `logged` wait at most to be written down, 0: nothing is. All memory is taken here.
     ///
     /// # Errors
     /// The system has no descriptor left.
-    pub fn new(files: usize, frame_bytes: usize) -> io::Result<(Self, Seats)> {
+    pub fn new(files: usize, frame_bytes: usize, logged: usize) -> io::Result<(Self, Seats)> {
         // One file is with the recogniser, one on its way to the core.
         let files = files + 2;
         // Of each side: one in every file, those that the core keeps, one that is filled and one on its way.
@@ -199,15 +224,17 @@ impl Desk {
         let (outbox, from_cold) = way(files);
         let (to_papers, papers) = RingBuffer::new(PAPERS);
         let (to_records, records) = RingBuffer::new(RECORDS);
+        let (to_log, log) = RingBuffer::new(logged);
         let hub = Hub {
             letters: [from_left, from_right, from_recognise, from_cold],
             free: [free_left, free_right],
             stock: (0..files).map(|_| Box::default()).collect(),
             papers: to_papers,
             records: to_records,
+            log: to_log,
             papers_waker: Arc::clone(&papers_waker),
         };
-        let cold = ColdSeat { papers, records, outbox };
+        let cold = ColdSeat { papers, records, log, outbox };
         let desk = Self { letters_waker, papers_waker, telemetry: Telemetry::new() };
         Ok((desk, Seats { grabs: [left, right], recognise, cold, hub }))
     }
@@ -262,6 +289,12 @@ impl Hub {
         told
     }
 
+    /// Has something written down, if a recording is made; whether it will be. The cold thread is not woken: it comes
+    /// by itself, and with every pair.
+    pub fn log(&mut self, said: Said, at: Timestamp) -> bool {
+        self.log.buffer().capacity() == 0 || self.log.push(Logged { at, said }).is_ok()
+    }
+
     /// Has a place record written; whether there was room for it.
     pub fn persist(&mut self, record: PlaceRecord) -> bool {
         let taken = self.records.push(record).is_ok();
@@ -276,7 +309,7 @@ mod tests {
 
     #[test]
     fn frames_and_files_go_round_with_their_memory() {
-        let (_, mut seats) = Desk::new(0, 100).unwrap();
+        let (_, mut seats) = Desk::new(0, 100, 0).unwrap();
         let mut file = seats.hub.file().unwrap();
         let [left, right] = &mut seats.grabs;
         file.pair = FramePair { left: left.free.pop().unwrap(), right: right.free.pop().unwrap() };
@@ -291,7 +324,7 @@ mod tests {
 
     #[test]
     fn a_full_ring_of_papers_gives_back_what_it_cannot_take() {
-        let (_, mut seats) = Desk::new(0, 0).unwrap();
+        let (_, mut seats) = Desk::new(0, 0, 0).unwrap();
         let note = || Paper::Note(Note::Ready, Timestamp(0));
         assert_eq!(std::iter::from_fn(|| seats.hub.tell(note()).ok()).count(), PAPERS);
         assert!(matches!(seats.hub.tell(note()), Err(Paper::Note(Note::Ready, _))));
@@ -300,8 +333,18 @@ mod tests {
     }
 
     #[test]
+    fn what_is_logged_waits_in_its_own_ring_where_a_recording_is_made() {
+        let (_, mut seats) = Desk::new(0, 0, 2).unwrap();
+        let said = Said::Event(Event::Stop);
+        assert_eq!([1, 2, 3].map(|at| seats.hub.log(said, Timestamp(at))), [true, true, false]);
+        assert_eq!(seats.cold.log.pop().unwrap(), Logged { at: Timestamp(1), said });
+        let (_, mut seats) = Desk::new(0, 0, 0).unwrap();
+        assert!(seats.hub.log(said, Timestamp(1)) && seats.cold.log.pop().is_err());
+    }
+
+    #[test]
     fn no_letter_is_lost_while_the_arms_thread_is_away() {
-        let (desk, mut seats) = Desk::new(0, 0).unwrap();
+        let (desk, mut seats) = Desk::new(0, 0, 0).unwrap();
         let sent = 3 * LETTERS;
         std::thread::scope(|scope| {
             let outbox = &mut seats.recognise;
@@ -318,7 +361,7 @@ mod tests {
 
     #[test]
     fn who_sends_to_a_thread_that_has_ended_does_not_wait() {
-        let (_, seats) = Desk::new(0, 0).unwrap();
+        let (_, seats) = Desk::new(0, 0, 0).unwrap();
         let Seats { mut recognise, hub, .. } = seats;
         drop(hub);
         (0..3 * LETTERS).for_each(|_| recognise.send(Letter::Ended(Side::Right)));

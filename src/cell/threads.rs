@@ -5,7 +5,7 @@
 //! | left, right | wait for a frame, hand it over | the camera | `grab_priority` |
 //! | recognise | recognise a pair, kick the watchdog | an eventfd | `recognise_priority` |
 //! | arm | the core, the link to the arm | an eventfd and the link | `arm_priority` |
-//! | cold | print, write, have pictures drawn by a thread of the command | an eventfd | none |
+//! | cold | print, write, have pictures drawn and recorded by threads of the command | an eventfd | none |
 //!
 //! Between them lie wait-free rings ([`super::desk`]); who sends wakes whom it sends to. Nothing spins. A panic in any
 //! of them stops the cell: the arm is told to hold, then the panic goes on.

@@ -12,11 +12,13 @@
 //! | `[deadline]` | [`Cell::deadline`] |
 //! | `[place]` | [`PlaceGrid`] |
 //! | `[realtime]` | [`Realtime`] |
+//! | `[recording]` | [`Recording`] |
 //! | `[arm]`, `[workspace]`, `[gripper]` | firmware-bridge, which the bridge process reads the same file with |
 
 mod cameras;
 mod error;
 mod recognition;
+mod recording;
 mod source;
 mod tables;
 
@@ -35,6 +37,7 @@ pub use cameras::{Backend, CameraSettings, Cameras, ControlValue, PICTURE_SIDE_P
 pub use error::{ConfigError, Location};
 pub use firmware_bridge::realtime::Scheduling;
 pub use recognition::{Gate, Harmony, Recognition, SearchMethod};
+pub use recording::{KeptPictures, Recording, WhenFull};
 pub use source::Source;
 pub use tables::{PlaceGrid, Realtime, Rig};
 
@@ -57,6 +60,8 @@ pub struct Cell {
     pub place: Option<PlaceGrid>,
     /// Priorities, cores and memory of the threads.
     pub realtime: Realtime,
+    /// What is recorded of every run. `None`: nothing.
+    pub recording: Option<Recording>,
     /// `[arm]`, `[workspace]` and `[gripper]`, as the bridge process reads them from the same file.
     pub arm_side: Settings,
 }
@@ -72,6 +77,7 @@ struct Written {
     place: Option<tables::WrittenPlace>,
     #[serde(default)]
     realtime: tables::WrittenRealtime,
+    recording: Option<recording::Written>,
     #[serde(default)]
     arm: firmware_bridge::config::Arm,
     workspace: firmware_bridge::config::Workspace,
@@ -104,6 +110,7 @@ impl Cell {
             deadline: written.deadline.check(source)?,
             place: written.place.map(|place| place.check(source)).transpose()?,
             realtime: written.realtime.check(source)?,
+            recording: written.recording.map(|recording| recording.check(source)).transpose()?,
             arm_side,
         })
     }

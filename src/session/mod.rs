@@ -8,11 +8,13 @@
 //! A recording is read through once when it is opened: its records are checked, its pictures are found, not kept. One
 //! that breaks off (a power cut, a kill) is read up to there, and says so.
 
+pub mod events;
 mod folder;
 pub mod foxglove;
 mod picture;
 mod recording;
 mod records;
+mod writer;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -21,6 +23,7 @@ use std::time::Duration;
 pub use folder::FolderError;
 pub use picture::{PictureError, read_picture, read_raw_picture};
 pub use records::{Damage, MessageAt, MessageError, RecordingError, RecordingFile};
+pub use writer::{About, RecordingWriter, WriteError};
 
 use crate::frame::{ColourEncoding, Frame};
 use foxglove::ImageKind;

@@ -1,12 +1,13 @@
 //! A recording as a session: its picture messages, paired by their times.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::Path;
 use std::sync::Arc;
 
 use mcap::records::Record;
 use prost::Message;
 
+use super::events::{PairRecord, Topic};
 use super::foxglove::{self, CompressedImage, ImageKind, RawImage};
 use super::records::{MessageAt, MessageError, RecordAt, RecordingError, RecordingFile};
 use super::{RecordedPair, RecordedPicture, Session};
@@ -36,6 +37,8 @@ struct Channel {
     /// Name of the schema, and encoding of the messages.
     about: String,
     image: Option<ImageKind>,
+    /// A topic of ours.
+    record: Option<Topic>,
     encoding: ColourEncoding,
 }
 
@@ -47,6 +50,8 @@ struct Index {
     /// The topic of each side: the first that has a picture.
     topics: [Option<Arc<str>>; 2],
     pictures: [Vec<Seen>; 2],
+    /// Names of pairs by the time stamps of their left pictures.
+    names: HashMap<i64, String>,
 }
 
 /// Reads through a recording.
@@ -54,6 +59,7 @@ pub(super) fn open(path: &Path) -> Result<Session, RecordingError> {
     let file = Arc::new(RecordingFile::open(path)?);
     let mut index = Index::default();
     let broken_at = file.walk(|record| index.record(&file, record))?;
+    index.check_names();
     let [left, right] = &mut index.pictures;
     if left.is_empty() || right.is_empty() {
         return Err(RecordingError::NoPictures { path: path.to_owned(), topics: index.all_topics() });
@@ -82,7 +88,9 @@ pub(super) fn open(path: &Path) -> Result<Session, RecordingError> {
         }
     };
     let mut pair = |(i, (wall_ns, pictures)): (usize, (i64, [Option<Seen>; 2]))| RecordedPair {
-        name: format!("{:06}", i + 1),
+        name: pictures[0]
+            .and_then(|left| index.names.get(&left.wall_ns).cloned())
+            .unwrap_or_else(|| format!("{:06}", i + 1)),
         after_ns: after_ns(wall_ns),
         pictures: pictures.map(|seen| seen.map(picture)),
     };
@@ -102,10 +110,13 @@ impl Index {
             }
             Record::Channel(channel) => {
                 let schema = self.schemas.get(&channel.schema_id).map_or("no schema", String::as_str);
+                let is_record =
+                    |topic: &Topic| topic.schema_name() == schema && channel.message_encoding == "json";
                 let is_image =
                     |kind: &ImageKind| kind.schema_name() == schema && channel.message_encoding == "protobuf";
                 let carried = Channel {
                     image: ImageKind::ALL.into_iter().find(is_image),
+                    record: Topic::ALL.into_iter().find(is_record),
                     about: format!("{schema}, {}", channel.message_encoding),
                     encoding: foxglove::colour_of(&channel.metadata),
                     topic: channel.topic.into(),
@@ -114,25 +125,41 @@ impl Index {
             }
             Record::Message { header, data } => {
                 let Some(channel) = self.channels.get(&header.channel_id) else { return Ok(()) };
+                let bad = |reason: MessageError| RecordingError::Message {
+                    path: file.path().to_owned(),
+                    topic: channel.topic.to_string(),
+                    at_byte: at.byte,
+                    reason,
+                };
                 if let (Some(kind), Some(side)) = (channel.image, side_of(&channel.topic)) {
                     let topic = self.topics[side.index()].get_or_insert_with(|| Arc::clone(&channel.topic));
                     if *topic != channel.topic {
                         return Ok(());
                     }
-                    let stamp = stamp_of(kind, &data).map_err(|reason| RecordingError::Message {
-                        path: file.path().to_owned(),
-                        topic: channel.topic.to_string(),
-                        at_byte: at.byte,
-                        reason,
-                    })?;
+                    let stamp = stamp_of(kind, &data).map_err(bad)?;
                     let logged_ns = i64::try_from(header.log_time).unwrap_or(i64::MAX);
                     let wall_ns = stamp.unwrap_or(logged_ns);
                     self.pictures[side.index()].push(Seen { wall_ns, at, channel: header.channel_id });
+                } else if channel.record == Some(Topic::Pair) {
+                    let pair: PairRecord = serde_json::from_slice(&data).map_err(|e| bad(e.into()))?;
+                    self.names.insert(pair.stamps_ns[0], pair.name);
                 }
             }
             _ => {}
         }
         Ok(())
+    }
+
+    /// Pairs keep their names where these tell them apart and are fit to be names of files; else they are numbered.
+    fn check_names(&mut self) {
+        let is_fit = |name: &String| {
+            let plain = name.chars().all(|c| c.is_ascii_alphanumeric() || matches!(c, '-' | '_'));
+            plain && (1..=64).contains(&name.len())
+        };
+        let distinct: HashSet<&String> = self.names.values().collect();
+        if distinct.len() < self.names.len() || !self.names.values().all(is_fit) {
+            self.names.clear();
+        }
     }
 
     /// For the message about what is missing.

@@ -84,6 +84,7 @@ pub struct Telemetry {
     counts: [AtomicU64; Cause::ALL.len()],
     no_picks: [AtomicU64; NoPick::KINDS.len()],
     unshown: AtomicU64,
+    unlogged: AtomicU64,
 }
 
 impl Telemetry {
@@ -94,6 +95,7 @@ impl Telemetry {
             counts: std::array::from_fn(|_| AtomicU64::new(0)),
             no_picks: std::array::from_fn(|_| AtomicU64::new(0)),
             unshown: AtomicU64::new(0),
+            unlogged: AtomicU64::new(0),
         }
     }
 
@@ -133,6 +135,16 @@ impl Telemetry {
     /// A pair was handled, but the threads that print and draw had no room for it.
     pub fn add_unshown(&self) {
         self.unshown.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// An event was to be recorded, but there was no room for it.
+    pub fn add_unlogged(&self) {
+        self.unlogged.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Events that are not in the recording for want of room.
+    pub fn unlogged(&self) -> u64 {
+        self.unlogged.load(Ordering::Relaxed)
     }
 
     /// Pairs without a picture for want of room.

@@ -19,6 +19,22 @@ use baseline::{Baseline, Fault};
 use zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions};
 use zune_jpeg::JpegDecoder;
 
+/// The picture with the standard Huffman tables, where it has none of its own: what other programs can read. `None`
+/// where it needs nothing, or is no JPEG.
+pub fn insert_tables(jpeg: &[u8]) -> Option<Vec<u8>> {
+    let mut at = 2;
+    // Markers with their lengths, up to the start of the scan.
+    loop {
+        let &[0xff, marker, high, low] = jpeg.get(at..at + 4)? else { return None };
+        match marker {
+            0xc4 => return None,
+            0xda => break,
+            _ => at += 2 + usize::from(u16::from_be_bytes([high, low])),
+        }
+    }
+    Some([&jpeg[..at], &tables::STANDARD_TABLES, &jpeg[at..]].concat())
+}
+
 /// What a JPEG is decoded to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Output {
@@ -235,7 +251,12 @@ mod tests {
         for (got, want) in raw.bytes.iter().zip(picture(48, 32)) {
             assert!(got.abs_diff(want) < 12, "{got} {want}");
         }
-        assert_eq!(decoder.run(&without_tables(&frame)).expect("decodes").bytes, raw.bytes);
+        let bare = without_tables(&frame);
+        assert_eq!(decoder.run(&bare).expect("decodes").bytes, raw.bytes);
+        let bytes = insert_tables(&bare.bytes).expect("tables are missing");
+        assert!(image::load_from_memory(&bytes).is_ok());
+        assert_eq!((insert_tables(&bytes), insert_tables(b"no picture")), (None, None));
+        assert_eq!(decoder.run(&Frame { bytes, ..bare }).expect("decodes").bytes, raw.bytes);
         let grey = Decoder::new(Output::Grey, 48, 32).run(&frame).expect("decodes").clone();
         for (i, got) in grey.bytes.iter().enumerate() {
             assert!(got.abs_diff(raw.luma(i % 48, i / 48)) < 3);

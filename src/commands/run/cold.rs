@@ -10,6 +10,7 @@ use serde_json::json;
 
 use super::args::{Format, Overlays, RunArgs};
 use super::paint::{Painter, Studio};
+use super::record::{Recorder, line_of};
 use super::summary::{self, Endurance};
 use super::{RunError, place};
 use crate::cell::core::{Note, PairReport, TargetEnd};
@@ -31,7 +32,10 @@ pub(super) struct Cold {
     seat: ColdSeat,
     format: Format,
     bar: ProgressBar,
+    recorder: Option<Recorder>,
     studio: Option<Studio>,
+    /// Pairs that may be with the recorder while the next one is recognised.
+    unwritten_max: usize,
     /// Pairs that may be with the painter while the next one is recognised.
     undrawn_max: usize,
     parts: Vec<Part>,
@@ -69,11 +73,15 @@ impl Cold {
             }
             false => None,
         };
+        let waker = Arc::clone(&desk.papers_waker);
+        let recorder = Recorder::open(cell, &parts, period, waker).map_err(RunError::System)?;
         let total = args.soak.unwrap_or(names.len() as u64);
         Ok(Self {
             format: args.format,
             bar: progress_bar(total, args.format),
+            recorder,
             studio,
+            unwritten_max: if fast { 0 } else { usize::MAX },
             // A session on its own time leaves no picture out: it waits for the painter.
             undrawn_max: if fast { 1 } else { usize::MAX },
             found: vec![0; parts.len()],
@@ -95,6 +103,8 @@ impl Cold {
     pub(super) fn work(&mut self) {
         loop {
             self.write_records();
+            self.record_log();
+            self.fetch_written();
             self.fetch_drawn();
             match self.seat.papers.pop() {
                 Ok(Paper::Note(note, at)) => self.note(&note, at),
@@ -115,6 +125,20 @@ impl Cold {
         }
     }
 
+    fn record_log(&mut self) {
+        while let Ok(logged) = self.seat.log.pop() {
+            if let Some(recorder) = &mut self.recorder {
+                recorder.logged(logged);
+            }
+        }
+    }
+
+    fn fetch_written(&mut self) {
+        while let Some(written) = self.recorder.as_mut().and_then(|r| r.written(self.unwritten_max)) {
+            self.order_picture(written.name, written.caption, written.file);
+        }
+    }
+
     fn fetch_drawn(&mut self) {
         while let Some((file, result)) = self.studio.as_mut().and_then(|s| s.drawn(self.undrawn_max)) {
             self.seat.outbox.send(Letter::Filed(file));
@@ -132,7 +156,10 @@ impl Cold {
         }
     }
 
-    fn note(&self, note: &Note, at: Timestamp) {
+    fn note(&mut self, note: &Note, at: Timestamp) {
+        if let (Some(recorder), Some((level, line))) = (&mut self.recorder, line_of(note)) {
+            recorder.line(level, at, line);
+        }
         // A soak would say so some hundred thousand times; its table counts them.
         let routine = matches!(
             note,
@@ -183,10 +210,17 @@ impl Cold {
         } else {
             self.tell_pair(report, file.as_deref(), kept);
         }
-        if let Some(file) = file
-            && let Err(file) = self.order_picture(report, file)
-        {
-            self.seat.outbox.send(Letter::Filed(file));
+        let name = self.name(report);
+        let caption = match &report.outcome {
+            Ok(sent) => format!("target {}", sent.id),
+            Err(why) => format!("no target: {why}"),
+        };
+        let back = match &mut self.recorder {
+            Some(recorder) => recorder.pair(name.clone(), caption.clone(), report, file).err(),
+            None => file,
+        };
+        if let Some(file) = back {
+            self.order_picture(name, caption, file);
         }
     }
 
@@ -252,16 +286,14 @@ impl Cold {
         .to_string()
     }
 
-    /// Has the pair drawn; gives the file back where it is not.
-    fn order_picture(&mut self, report: &PairReport, file: Box<File>) -> Result<(), Box<File>> {
-        let name = self.name(report);
-        let caption = match &report.outcome {
-            Ok(sent) => format!("target {}", sent.id),
-            Err(why) => format!("no target: {why}"),
+    /// Has the pair drawn, or gives its file back.
+    fn order_picture(&mut self, name: String, caption: String, file: Box<File>) {
+        let back = match &mut self.studio {
+            Some(studio) if self.failed.is_none() => studio.order(name, caption, file).err(),
+            _ => Some(file),
         };
-        match &mut self.studio {
-            Some(studio) if self.failed.is_none() => studio.order(name, caption, file),
-            _ => Err(file),
+        if let Some(file) = back {
+            self.seat.outbox.send(Letter::Filed(file));
         }
     }
 
@@ -280,14 +312,18 @@ impl Cold {
     /// The table, and what went wrong, if anything did.
     pub(super) fn finish(mut self, resident_bytes: u64) -> Result<(), RunError> {
         self.bar.finish_and_clear();
+        self.unwritten_max = 0;
+        self.record_log();
+        self.fetch_written();
+        let recorded = self.recorder.take().map(Recorder::close);
         let drawn = self.studio.take().map_or(Ok(()), Studio::close);
         self.failed = self.failed.or(drawn.err());
         let found: Vec<_> =
             self.parts.iter().map(|part| part.name.as_str()).zip(self.found.clone()).collect();
         let telemetry = &self.desk.telemetry;
         let table = match self.format {
-            Format::Text => summary::text(telemetry, &found, self.slow),
-            Format::Json => summary::json(telemetry, &found, self.slow).to_string(),
+            Format::Text => summary::text(telemetry, &found, self.slow, recorded.as_ref()),
+            Format::Json => summary::json(telemetry, &found, self.slow, recorded.as_ref()).to_string(),
         };
         let verdict = self.endurance.take().map_or(Ok(String::new()), |endurance| {
             endurance.verdict(telemetry, resident_bytes).map(|line| line + "\n")

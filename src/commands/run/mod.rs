@@ -5,6 +5,7 @@ mod cold;
 mod error;
 mod paint;
 mod place;
+mod record;
 mod setup;
 mod summary;
 

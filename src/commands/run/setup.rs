@@ -29,6 +29,10 @@ use crate::time::Timestamp;
 const FAST_ITERATIONS: u64 = 1_000_000;
 /// Pairs of a recorded session that may wait for their overlay pictures.
 const OVERLAY_FILES_MAX: usize = 64;
+/// Pairs that may wait for being recorded: half a second of ordinary cameras.
+const RECORDING_FILES: usize = 16;
+/// Events that may wait for being recorded.
+const LOGGED: usize = 1024;
 /// A camera that is not there at the start may still come for so long.
 const CAMERA_PATIENCE: Duration = Duration::from_secs(5);
 /// A camera that gives nothing for so long is silent, unless three of its periods are longer.
@@ -107,7 +111,13 @@ impl Setup {
             None if !eyes.replayed => 2,
             _ => eyes.pairs.clamp(2, OVERLAY_FILES_MAX),
         };
-        let (desk, seats) = Desk::new(files, eyes.frame_bytes).map_err(RunError::System)?;
+        let (more_files, logged) = match &cell.recording {
+            Some(_) if fast => (0, LOGGED),
+            Some(_) => (RECORDING_FILES, LOGGED),
+            None => (0, 0),
+        };
+        let (desk, seats) =
+            Desk::new(files + more_files, eyes.frame_bytes, logged).map_err(RunError::System)?;
         let desk = Arc::new(desk);
         let wishes = wishes(&cell.realtime);
         let Eyes { cameras, steps, period, names, .. } = eyes;

@@ -4,6 +4,7 @@ use std::fmt::Write;
 
 use serde_json::{Value, json};
 
+use super::record::Tally;
 use crate::cell::core::Cause;
 use crate::telemetry::{Stage, Summary, Telemetry};
 
@@ -21,7 +22,12 @@ fn counts(telemetry: &Telemetry, slow: u64) -> impl Iterator<Item = (Cause, u64)
 }
 
 /// The table for people. `found` are parts by model, `slow` deadline misses that the core's clock did not see.
-pub(super) fn text(telemetry: &Telemetry, found: &[(&str, u64)], slow: u64) -> String {
+pub(super) fn text(
+    telemetry: &Telemetry,
+    found: &[(&str, u64)],
+    slow: u64,
+    recorded: Option<&Tally>,
+) -> String {
     let mut table = String::from("\n");
     let mut row = |name: &str, value: u64| {
         let _ = writeln!(table, "{name:<40} {value:>9}");
@@ -37,6 +43,13 @@ pub(super) fn text(telemetry: &Telemetry, found: &[(&str, u64)], slow: u64) -> S
     telemetry.no_picks().for_each(|(why, count)| row(&format!("no target: {why}"), count));
     if telemetry.unshown() > 0 {
         row("pairs without a line or picture", telemetry.unshown());
+    }
+    if let Some(tally) = recorded {
+        row("pairs recorded with pictures", tally.pairs);
+        for (name, count) in tally.losses(telemetry).into_iter().filter(|&(_, count)| count > 0) {
+            row(name, count);
+        }
+        let _ = writeln!(table, "{}", tally.in_words());
     }
     let _ = writeln!(
         table,
@@ -58,7 +71,12 @@ pub(super) fn text(telemetry: &Telemetry, found: &[(&str, u64)], slow: u64) -> S
 }
 
 /// The same for programs.
-pub(super) fn json(telemetry: &Telemetry, found: &[(&str, u64)], slow: u64) -> Value {
+pub(super) fn json(
+    telemetry: &Telemetry,
+    found: &[(&str, u64)],
+    slow: u64,
+    recorded: Option<&Tally>,
+) -> Value {
     let counts: serde_json::Map<_, _> = counts(telemetry, slow)
         .map(|(cause, count)| (cause.name().replace(' ', "_"), json!(count)))
         .collect();
@@ -77,7 +95,17 @@ pub(super) fn json(telemetry: &Telemetry, found: &[(&str, u64)], slow: u64) -> V
         found.iter().map(|(name, count)| ((*name).to_owned(), json!(count))).collect();
     let no_picks: serde_json::Map<_, _> =
         telemetry.no_picks().map(|(why, count)| (why.to_owned(), json!(count))).collect();
-    json!({ "summary": { "counts": counts, "parts": found, "no_target": no_picks, "stages_us": stages } })
+    let recording = recorded.map(|tally| {
+        let losses: serde_json::Map<_, _> = tally
+            .losses(telemetry)
+            .into_iter()
+            .map(|(name, count)| (name.replace(' ', "_"), json!(count)))
+            .collect();
+        json!({ "file": tally.path, "pairs": tally.pairs, "bytes": tally.bytes, "losses": losses })
+    });
+    json!({ "summary": {
+        "counts": counts, "parts": found, "no_target": no_picks, "recording": recording, "stages_us": stages
+    } })
 }
 
 /// One line for the service manager.
@@ -149,13 +177,13 @@ mod tests {
 
     #[test]
     fn the_table_names_what_there_was() {
-        let table = text(&telemetry(0), &[("rod-90", 41)], 2);
+        let table = text(&telemetry(0), &[("rod-90", 41)], 2, None);
         for line in ["pairs 20", "rod-90 41", "deadline misses 2", "no target: on hold 1"] {
             let found = table.lines().any(|l| l.split_whitespace().collect::<Vec<_>>().join(" ") == line);
             assert!(found, "{line:?} in\n{table}");
         }
         assert!(table.contains("recognition") && !table.contains("transfer"));
-        assert_eq!(json(&telemetry(0), &[], 0)["summary"]["stages_us"]["recognition"]["count"], 1);
+        assert_eq!(json(&telemetry(0), &[], 0, None)["summary"]["stages_us"]["recognition"]["count"], 1);
     }
 
     #[test]
