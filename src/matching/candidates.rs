@@ -84,12 +84,18 @@ impl Candidate {
 pub struct Candidates {
     all: Vec<Candidate>,
     points: Points,
+    /// How far along the curve, and which stereo node.
+    order: Vec<(u32, u16)>,
 }
 
 impl Candidates {
     /// Memory for this many.
     pub fn new(nodes_max: usize) -> Self {
-        Self { all: Vec::with_capacity(nodes_max), points: Points::with_capacity(nodes_max) }
+        Self {
+            all: Vec::with_capacity(nodes_max),
+            points: Points::with_capacity(nodes_max),
+            order: Vec::with_capacity(nodes_max),
+        }
     }
 
     /// Takes the stereo nodes of a pair. With `along_curve` they are put in the order in which a Hilbert curve
@@ -103,13 +109,26 @@ impl Candidates {
         right: &[ImageNode],
         along_curve: bool,
     ) {
-        self.all.clear();
-        self.all
-            .extend(nodes.iter().enumerate().map(|(i, node)| Candidate::new(geometry, i, node, left, right)));
+        let Self { all, points, order } = self;
+        all.clear();
+        let candidate = |i: usize| Candidate::new(geometry, i, &nodes[i], left, right);
         if along_curve {
-            self.all.sort_unstable_by_key(|c| (curve(c.node_px[0]), c.stereo));
+            order.clear();
+            let mut last = (None, 0);
+            for (i, node) in nodes.iter().enumerate() {
+                // the gate gives all stereo nodes of a left node one after the other
+                if last.0 != Some(node.left) {
+                    let px = left[node.left as usize].position_px;
+                    last = (Some(node.left), curve([px.x as f32, px.y as f32]));
+                }
+                order.push((last.1, i as u16));
+            }
+            order.sort_unstable();
+            all.extend(order.iter().map(|&(_, i)| candidate(i as usize)));
+        } else {
+            all.extend((0..nodes.len()).map(candidate));
         }
-        self.points.fill(self.all.iter().map(|c| c.point_mm));
+        points.fill(all.iter().map(|c| (c.point_mm, [c.left, c.right])));
     }
 
     /// All of them.

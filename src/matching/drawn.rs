@@ -11,6 +11,7 @@ use super::nodes::{ImageNode, NodeRole};
 use super::problem::{Anchor, MatchModel, Span};
 use crate::rig::{CameraModel, Rig};
 use crate::vision::bits::BitImage;
+use crate::vision::level::Level;
 
 /// A scene of equal parts, each a chain of straight pieces, with all that the searches take.
 #[derive(Clone, Debug)]
@@ -117,6 +118,7 @@ impl DrawnScene {
             model: &self.model,
             weights: Weights::default(),
             length_tolerance_mm: 6.0,
+            level: Level::detect(),
         }
     }
 }

@@ -1,15 +1,16 @@
 //! Exact search: every match under the fitness limit, by branch and bound.
 //!
 //! Depth first over the anchors of the model. Every anchor has a domain: the candidates that it may still be. Matching
-//! an anchor takes out of all other domains what is not at the model's distance from it (a row of bits out of
-//! [`rows`] for the first node, a look at the few that are left for all others), so a pair of the wrong
-//! length is never visited. Next comes the anchor with the fewest candidates among those that a span joins to a
-//! matched one; it is matched with each of them in turn, then left out, as long as enough remain ([`MatchModel::required`](super::problem::MatchModel::required)). What lengths, gaps, background and
-//! left-out anchors cost already bounds the fitness from below; a span's pixels are read when its second end is
-//! matched and the lengths have passed.
+//! an anchor takes out of all other domains what is not at the model's distance from it (one AND with rows of bits out
+//! of [`neighbours`](super::neighbours)), so a pair of the wrong length is never visited. Next comes the anchor with the
+//! fewest candidates among those that a span joins to a matched one; it is matched with each of them in turn, then left
+//! out, as long as enough remain ([`MatchModel::required`](super::problem::MatchModel::required)). What lengths, gaps,
+//! background and left-out anchors cost already bounds the fitness from below; a span's pixels are read when its second
+//! end is matched and the lengths have passed, and only once ([`measures`](super::measures)).
 //!
 //! Given are all matches under the limit but those that are part of a fitter one with one node more: they hold the
-//! same pose with less to prove it.
+//! same pose with less to prove it. Where a left-out anchor has a candidate that goes with all that may still be
+//! matched, and costs less than leaving it out whatever that will be, all below is such a part and is not visited.
 //!
 //! ```
 //! use pickcell::matching::drawn::DrawnScene;
@@ -27,10 +28,13 @@
 //! ```
 
 use super::candidates::{Candidate, Candidates};
-use super::fitness::{Judge, StereoMatch, UNMATCHED, distance_mm, is_bare, may_be};
+use super::fitness::{Judge, StereoMatch, Terms, UNMATCHED, may_be};
 use super::found::Found;
+use super::measures::{Measured, Measures};
+use super::neighbours::Neighbours;
 use super::problem::ANCHORS_MAX;
 use super::rows::{self, CHUNK};
+use crate::part::EDGES_MAX;
 use crate::time::Budget;
 use crate::vision::level::Level;
 
@@ -49,21 +53,19 @@ pub struct Limits {
 #[derive(Clone, Debug)]
 pub struct Exhaustive {
     level: Level,
-    /// One bit a candidate and anchor: what looks right.
-    looks_right: Vec<u64>,
-    /// One bit a candidate and anchor: what is at the right distance from the first node.
-    rows: Vec<u64>,
-    /// The domains of all depths but the first, one list after the other.
-    lists: Vec<u16>,
-    /// Where the list of a depth and an anchor is.
-    domains: Vec<[(u32, u32); ANCHORS_MAX]>,
+    pub(super) neighbours: Neighbours,
+    pub(super) measures: Measures,
+    /// For every depth and anchor a row of one bit a candidate: what the anchor may still be.
+    pub(super) domains: Vec<u64>,
+    /// How many those are.
+    pub(super) counts: Vec<[u32; ANCHORS_MAX]>,
+    /// The spans at every anchor, each with its other anchor.
+    joints: Vec<(u16, u16)>,
+    joints_from: [u32; ANCHORS_MAX + 1],
     nodes_max: usize,
     steps: u64,
     complete: bool,
 }
-
-/// Entries of all lists together, for every candidate that there is memory for.
-const LISTS_PER_NODE: usize = 4 * ANCHORS_MAX;
 
 impl Exhaustive {
     /// Reserves all memory for up to `nodes_max` candidates.
@@ -71,10 +73,12 @@ impl Exhaustive {
         let words = nodes_max.div_ceil(CHUNK).max(1) * ANCHORS_MAX;
         Self {
             level: Level::detect(),
-            looks_right: vec![0; words],
-            rows: vec![0; words],
-            lists: Vec::with_capacity(LISTS_PER_NODE * nodes_max),
-            domains: vec![[(0, 0); ANCHORS_MAX]; ANCHORS_MAX + 1],
+            neighbours: Neighbours::new(nodes_max),
+            measures: Measures::new(),
+            domains: vec![0; words * (ANCHORS_MAX + 1)],
+            counts: vec![[0; ANCHORS_MAX]; ANCHORS_MAX + 1],
+            joints: Vec::with_capacity(2 * (EDGES_MAX + ANCHORS_MAX)),
+            joints_from: [0; ANCHORS_MAX + 1],
             nodes_max,
             steps: 0,
             complete: true,
@@ -91,142 +95,215 @@ impl Exhaustive {
         self.complete
     }
 
-    /// Adds the matches of the judge's part within `limits` to `found`. Candidates beyond the
-    /// number that there is memory for are not looked at; the search is then not complete.
+    /// Adds the matches of the judge's part within `limits` to `found`, which holds none of them yet. Candidates beyond
+    /// the number that there is memory for are not looked at; the search is then not complete.
     pub fn run(&mut self, judge: &Judge, candidates: &Candidates, limits: Limits, found: &mut Found) {
         self.steps = 0;
         self.complete = true;
-        if candidates.all().is_empty() {
+        let anchors = judge.model.anchors.len();
+        if candidates.all().is_empty() || anchors == 0 {
             return;
         }
         if candidates.all().len() > self.nodes_max {
             self.complete = false;
             return;
         }
-        let anchors = judge.model.anchors.len();
+        self.join(judge);
+        self.neighbours.begin(judge.model, candidates, judge.length_tolerance_mm);
+        self.measures.begin(judge, found.threshold(limits.fitness_max) * ROUNDING);
         let mut tree = Tree {
             search: self,
             judge,
             candidates,
+            all: candidates.all(),
             words: candidates.points().words(),
             limits,
             found,
-            chosen: [None; ANCHORS_MAX],
+            chosen: [UNMATCHED; ANCHORS_MAX],
+            matched: 0,
             left_out: 0,
-            spare: anchors - judge.model.required(),
+            rates: [Rates::default(); ANCHORS_MAX + 1],
+            spare: anchors as u32 - judge.model.required() as u32,
         };
+        tree.rates[0] = tree.rates_now();
         tree.start();
-        let everyone = if anchors == 32 { u32::MAX } else { (1 << anchors) - 1 };
+        let everyone = u32::MAX >> (32 - anchors);
         tree.descend(0, everyone, Cost::default());
+    }
+
+    /// Lists the spans at every anchor.
+    fn join(&mut self, judge: &Judge) {
+        self.joints.clear();
+        for a in 0..judge.model.anchors.len() {
+            for (k, span) in judge.model.spans.iter().enumerate() {
+                if span.from != span.to && (span.from == a || span.to == a) {
+                    self.joints.push((k as u16, (span.from + span.to - a) as u16));
+                }
+            }
+            self.joints_from[a + 1] = self.joints.len() as u32;
+        }
     }
 }
 
+/// The rounding of a bound must not cost a match.
+const ROUNDING: f64 = 1.0 + 1e-6;
+
 /// What the matched nodes cost already, before weights and means.
 #[derive(Clone, Copy, Debug, Default)]
-struct Cost {
-    length_3d_mm: f32,
-    length_2d_px: f32,
-    missing: u32,
-    gap_px: f32,
-    left_out: u32,
+pub(super) struct Cost {
+    pub(super) length_3d_mm: f32,
+    pub(super) length_2d_px: f32,
+    pub(super) missing: u32,
+    pub(super) gap_px: f32,
+    /// Spans with both ends matched, and looks at both pictures on them.
+    pub(super) spans: u32,
+    pub(super) looks: u32,
 }
 
-struct Tree<'a, 'j> {
-    search: &'a mut Exhaustive,
-    judge: &'a Judge<'j>,
-    candidates: &'a Candidates,
-    words: usize,
+/// Weights over the most that a mean can be taken of.
+#[derive(Clone, Copy, Debug, Default)]
+struct Rates {
+    length_3d_per_mm: f64,
+    length_2d_per_px: f64,
+    missing: f64,
+    gap_per_px: f64,
+    left_out: f64,
+}
+
+pub(super) struct Tree<'a, 'j> {
+    pub(super) search: &'a mut Exhaustive,
+    pub(super) judge: &'a Judge<'j>,
+    pub(super) candidates: &'a Candidates,
+    pub(super) all: &'a [Candidate],
+    pub(super) words: usize,
     limits: Limits,
     found: &'a mut Found,
-    chosen: [Option<u16>; ANCHORS_MAX],
+    pub(super) chosen: [u16; ANCHORS_MAX],
+    /// Anchors that are matched, one bit each.
+    pub(super) matched: u32,
     /// Anchors that were left out, one bit each.
-    left_out: u32,
+    pub(super) left_out: u32,
+    /// By how many were left out on the way here.
+    rates: [Rates; ANCHORS_MAX + 1],
     /// How many anchors may be left out.
-    spare: usize,
+    spare: u32,
 }
 
 impl Tree<'_, '_> {
-    fn row(&self, anchor: usize) -> std::ops::Range<usize> {
-        anchor * self.words..(anchor + 1) * self.words
+    pub(super) fn anchors(&self) -> usize {
+        self.judge.model.anchors.len()
+    }
+
+    /// The domains of a depth, row by row.
+    #[inline]
+    pub(super) fn domains(&self, depth: usize) -> &[u64] {
+        let all = self.anchors() * self.words;
+        &self.search.domains[depth * all..(depth + 1) * all]
+    }
+
+    #[inline]
+    pub(super) fn joints(&self, anchor: usize) -> std::ops::Range<usize> {
+        self.search.joints_from[anchor] as usize..self.search.joints_from[anchor + 1] as usize
+    }
+
+    #[inline]
+    pub(super) fn joint(&self, at: usize) -> (usize, usize) {
+        let (span, other) = self.search.joints[at];
+        (span as usize, other as usize)
     }
 
     /// What may be each anchor before anything is matched.
     fn start(&mut self) {
-        self.search.lists.clear();
+        let words = self.words;
         for (a, anchor) in self.judge.model.anchors.iter().enumerate() {
-            let row = self.row(a);
-            let domain = &mut self.search.looks_right[row];
-            domain.fill(0);
-            for (n, c) in self.candidates.all().iter().enumerate() {
-                domain[n / CHUNK] |= ((c.explained && may_be(anchor.role, c.role)) as u64) << (n % CHUNK);
+            let domain = &mut self.search.domains[a * words..(a + 1) * words];
+            for (word, candidates) in domain.iter_mut().zip(self.all.chunks(CHUNK)) {
+                *word = 0;
+                for (n, c) in candidates.iter().enumerate() {
+                    *word |= ((c.explained && may_be(anchor.role, c.role)) as u64) << n;
+                }
             }
+            self.search.counts[0][a] = domain.iter().map(|w| w.count_ones()).sum();
         }
     }
 
-    /// What a bound is compared with; its rounding must not cost a match. Where no more matches are kept, those that
-    /// are no fitter than the kept ones need not be found.
-    fn most(&self) -> f64 {
-        self.found.threshold(self.limits.fitness_max) * (1.0 + 1e-6)
+    /// Where no more matches are kept, those that are no fitter than the kept ones need not be found.
+    fn limit(&self) -> f64 {
+        self.found.threshold(self.limits.fitness_max)
     }
 
-    /// What is matched costs at least this in the end.
-    fn bound(&self, cost: &Cost) -> f64 {
+    /// Spans of an anchor that is left out are not measured: all others are in the mean at most.
+    fn rates_now(&self) -> Rates {
         let (w, model) = (&self.judge.weights, self.judge.model);
-        // spans of an anchor that is left out are not measured: all others are in the mean at most
         let (mut spans, mut looks) = (0, 0);
         for span in model.spans.iter().filter(|s| (self.left_out >> s.from | self.left_out >> s.to) & 1 == 0)
         {
             (spans, looks) = (spans + 1, looks + 2 * span.looks);
         }
         let (spans, looks) = (spans.max(1) as f64, looks.max(1) as f64);
-        cost.length_3d_mm as f64 * w.length_3d_per_mm / spans
-            + cost.length_2d_px as f64 * w.length_2d_per_px / (2.0 * spans)
-            + cost.missing as f64 * w.missing / looks
-            + cost.gap_px as f64 * w.gap_per_px / model.anchors.len() as f64
-            + cost.left_out as f64 * w.unmatched
+        Rates {
+            length_3d_per_mm: w.length_3d_per_mm / spans,
+            length_2d_per_px: w.length_2d_per_px / (2.0 * spans),
+            missing: w.missing / looks,
+            gap_per_px: w.gap_per_px / model.anchors.len() as f64,
+            left_out: self.left_out.count_ones() as f64 * w.unmatched,
+        }
+    }
+
+    #[inline]
+    fn rates(&self) -> &Rates {
+        &self.rates[self.left_out.count_ones() as usize]
+    }
+
+    /// Whether what is matched costs too much already.
+    #[inline]
+    fn is_over(&self, cost: &Cost) -> bool {
+        let r = self.rates();
+        let bound = cost.length_3d_mm as f64 * r.length_3d_per_mm
+            + cost.length_2d_px as f64 * r.length_2d_per_px
+            + cost.missing as f64 * r.missing
+            + cost.gap_px as f64 * r.gap_per_px
+            + r.left_out;
+        bound >= self.limit() * ROUNDING
     }
 
     /// `open`: the anchors not decided yet, one bit each.
     fn descend(&mut self, depth: usize, open: u32, cost: Cost) {
-        if self.bound(&cost) >= self.most() {
-            return;
-        }
         if open == 0 {
-            self.finish();
+            self.finish(depth);
             return;
         }
-        let Some(anchor) = self.next_anchor(depth, open) else { return };
+        if self.left_out != 0 && self.is_dominated(depth, open, &cost) {
+            return;
+        }
+        let anchor = self.next_anchor(depth, open);
         let rest = open & !(1 << anchor);
-        if depth == 0 {
-            for w in 0..self.words {
-                let mut bits = self.search.looks_right[self.row(anchor).start + w];
-                while bits != 0 && self.search.complete {
-                    let n = w * CHUNK + bits.trailing_zeros() as usize;
-                    bits &= bits - 1;
-                    self.step(depth, anchor, n, rest, cost);
-                }
-            }
-        } else {
-            let (begin, end) = self.search.domains[depth][anchor];
-            for k in begin..end {
-                self.step(depth, anchor, self.search.lists[k as usize] as usize, rest, cost);
+        for w in 0..self.words {
+            let mut bits = self.domains(depth)[anchor * self.words + w];
+            while bits != 0 {
+                let n = w * CHUNK + bits.trailing_zeros() as usize;
+                bits &= bits - 1;
+                self.step(depth, anchor, n, rest, cost);
                 if !self.search.complete {
                     return;
                 }
             }
         }
-        if !self.search.complete {
-            return;
-        }
-        if (self.left_out.count_ones() as usize) < self.spare {
+        if self.left_out.count_ones() < self.spare {
             self.left_out |= 1 << anchor;
             // the domains of this depth stay as they are: nothing was matched
-            self.descend(depth, rest, Cost { left_out: cost.left_out + 1, ..cost });
+            if self.is_viable(depth, rest) {
+                self.rates[self.left_out.count_ones() as usize] = self.rates_now();
+                if !self.is_over(&cost) {
+                    self.descend(depth, rest, cost);
+                }
+            }
             self.left_out &= !(1 << anchor);
         }
     }
 
     /// Matches candidate `n` with `anchor` and goes on from there.
+    #[inline]
     fn step(&mut self, depth: usize, anchor: usize, n: usize, rest: u32, cost: Cost) {
         let steps = self.search.steps;
         if steps == self.limits.steps_max || self.limits.budget.is_spent(steps) {
@@ -234,183 +311,177 @@ impl Tree<'_, '_> {
             return;
         }
         self.search.steps += 1;
-        if let Some(cost) = self.cost_with(anchor, n, cost) {
-            let lists = self.search.lists.len();
-            self.chosen[anchor] = Some(n as u16);
-            if self.narrow(depth, anchor, n, rest) {
-                self.descend(depth + 1, rest, cost);
-            }
-            self.chosen[anchor] = None;
-            self.search.lists.truncate(lists);
+        if self.is_out_of_length(anchor, n, cost) {
+            return;
         }
+        // What is quicker comes next: pixels, or rows that have to be made.
+        let wanted = rest | self.left_out;
+        let narrow_first = self.search.neighbours.is_quick(anchor, n);
+        if wanted != 0 && narrow_first && !self.narrow(depth, anchor, n, wanted, rest) {
+            return;
+        }
+        let Some(cost) = self.cost_with(anchor, n, cost) else { return };
+        if wanted != 0 && !narrow_first && !self.narrow(depth, anchor, n, wanted, rest) {
+            return;
+        }
+        self.chosen[anchor] = n as u16;
+        self.matched |= 1 << anchor;
+        self.descend(depth + 1, rest, cost);
+        self.matched &= !(1 << anchor);
+        self.chosen[anchor] = UNMATCHED;
+    }
+
+    /// Whether enough of the open anchors have a candidate left.
+    #[inline]
+    fn is_viable(&self, depth: usize, open: u32) -> bool {
+        let (counts, mut empty, mut bits) = (&self.search.counts[depth], self.left_out.count_ones(), open);
+        while bits != 0 {
+            empty += (counts[bits.trailing_zeros() as usize] == 0) as u32;
+            bits &= bits - 1;
+        }
+        empty <= self.spare
     }
 
     /// The open anchor to be matched next: of those that a span joins to a matched one the one with the fewest
-    /// candidates, else any. `None` where too many have no candidate left.
-    fn next_anchor(&self, depth: usize, open: u32) -> Option<usize> {
-        if depth == 0 {
-            return Some(open.trailing_zeros() as usize);
-        }
-        let mut joined = 0u32;
-        for span in &self.judge.model.spans {
-            let (from, to) = (self.chosen[span.from].is_some(), self.chosen[span.to].is_some());
-            joined |= (from as u32) << span.to | (to as u32) << span.from;
-        }
-        let (mut best, mut least, mut empty) = (open.trailing_zeros() as usize, u32::MAX, 0);
-        let mut bits = open;
+    /// candidates, else any with the fewest.
+    fn next_anchor(&self, depth: usize, open: u32) -> usize {
+        let (mut best, mut least, mut bits) = (0, u32::MAX, open);
         while bits != 0 {
             let a = bits.trailing_zeros() as usize;
             bits &= bits - 1;
-            let (begin, end) = self.search.domains[depth][a];
-            let count = end - begin;
-            empty += (count == 0) as u32;
-            let rank = if joined >> a & 1 == 1 { count } else { count.saturating_add(1 << 20) };
+            let joined = self.joints(a).any(|k| self.matched >> self.joint(k).1 & 1 == 1);
+            let rank = self.search.counts[depth][a] + if joined { 0 } else { 1 << 20 };
             if rank < least {
                 (best, least) = (a, rank);
             }
         }
-        ((empty + self.left_out.count_ones()) as usize <= self.spare).then_some(best)
+        best
     }
 
-    /// The cost with candidate `n` for `anchor`; `None` where a span of it puts the fitness over the limit.
-    fn cost_with(&self, anchor: usize, n: usize, mut cost: Cost) -> Option<Cost> {
-        let (model, all) = (self.judge.model, self.candidates.all());
-        let new = &all[n];
+    /// What span `k` costs between two candidates; `None` where that is too much for any match.
+    #[inline]
+    pub(super) fn span(&mut self, k: usize, a: u16, b: u16) -> Option<Measured> {
+        self.search.measures.span(self.judge, self.all, k, a, b)
+    }
+
+    /// Whether candidate `n` for `anchor` puts the fitness over the limit by its place and lengths alone.
+    #[inline]
+    fn is_out_of_length(&self, anchor: usize, n: usize, mut cost: Cost) -> bool {
+        let new = &self.all[n];
         cost.gap_px += new.gap_px;
-        let touching = |k: usize| -> Option<&Candidate> {
-            let span = &model.spans[k];
-            let other = match (span.from == anchor, span.to == anchor) {
-                (true, false) => span.to,
-                (false, true) => span.from,
-                _ => return None,
-            };
-            self.chosen[other].map(|c| &all[c as usize])
-        };
-        let most = self.most();
-        for (k, span) in model.spans.iter().enumerate() {
-            let Some(other) = touching(k) else { continue };
-            cost.length_3d_mm += self.judge.length_3d_mm(span, new, other);
-        }
-        if self.bound(&cost) >= most {
-            return None;
-        }
-        for (k, span) in model.spans.iter().enumerate() {
-            let Some(other) = touching(k) else { continue };
-            cost.length_2d_px += self.judge.length_2d_px(span, new, other);
-            if self.bound(&cost) >= most {
-                return None;
-            }
-            // the last node of a match is judged as a whole anyway
-            if model.spans.len() > 1 {
-                let missing = self.judge.missing(span, new, other, span.looks);
-                cost.missing += missing;
-                if is_bare(span, missing) || self.bound(&cost) >= most {
-                    return None;
+        for at in self.joints(anchor) {
+            let (k, other) = self.joint(at);
+            if let Some(other) = self.all.get(self.chosen[other] as usize) {
+                let span = &self.judge.model.spans[k];
+                cost.length_3d_mm += self.judge.length_3d_mm(span, new, other);
+                if self.is_over(&cost) {
+                    return true;
                 }
+                cost.length_2d_px += self.judge.length_2d_px(span, new, other);
             }
         }
-        Some(cost)
+        self.is_over(&cost)
     }
 
-    /// Lists the domains of the next depth: of every open or left-out anchor, what is at the model's distance. Says
-    /// whether there was room.
-    fn narrow(&mut self, depth: usize, anchor: usize, n: usize, open: u32) -> bool {
-        let (judge, words) = (self.judge, self.words);
-        let (model, all) = (judge.model, self.candidates.all());
-        let new = &all[n];
-        let wanted = open | self.left_out;
-        if depth == 0 {
-            let mut limits: [rows::Limits; ANCHORS_MAX] = [(1.0, 0.0); ANCHORS_MAX];
-            for (a, limits) in limits.iter_mut().enumerate().take(model.anchors.len()) {
-                if wanted >> a & 1 == 1 {
-                    // a little wider; what is over the tolerance is sorted out below
-                    let tolerance_mm = judge.length_tolerance_mm + 1e-3;
-                    *limits = rows::limits(model.distance_mm(anchor, a), tolerance_mm);
-                }
+    /// The cost with candidate `n` for `anchor`; `None` where it puts the fitness over the limit.
+    fn cost_with(&mut self, anchor: usize, n: usize, mut cost: Cost) -> Option<Cost> {
+        cost.gap_px += self.all[n].gap_px;
+        for at in self.joints(anchor) {
+            let (k, other) = self.joint(at);
+            if self.matched >> other & 1 == 0 {
+                continue;
             }
-            let limits = &limits[..model.anchors.len()];
-            let points = self.candidates.points();
-            rows::within(self.search.level, points, new.point_mm, limits, &mut self.search.rows);
+            let measured = self.span(k, n as u16, self.chosen[other])?;
+            cost.length_3d_mm += measured.length_3d_mm;
+            cost.length_2d_px += measured.length_2d_px;
+            cost.missing += measured.missing;
+            cost.spans += 1;
+            cost.looks += 2 * self.judge.model.spans[k].looks;
         }
-        let Exhaustive { lists, domains, rows, looks_right, .. } = &mut *self.search;
-        let mut bits = wanted;
-        while bits != 0 {
-            let a = bits.trailing_zeros() as usize;
-            bits &= bits - 1;
-            let (wanted_mm, tolerance_mm) =
-                (model.distance_mm(anchor, a) as f32, judge.length_tolerance_mm as f32);
-            let fits = |c: usize| {
-                let other = &all[c];
-                other.left != new.left
-                    && other.right != new.right
-                    && (distance_mm(new, other) - wanted_mm).abs() <= tolerance_mm
-            };
-            let first = lists.len() as u32;
-            if depth == 0 {
-                for w in 0..words {
-                    let mut bits = rows[a * words + w] & looks_right[a * words + w];
-                    while bits != 0 {
-                        let c = w * CHUNK + bits.trailing_zeros() as usize;
-                        bits &= bits - 1;
-                        if fits(c) && lists.len() < lists.capacity() {
-                            lists.push(c as u16);
-                        }
-                    }
-                }
-            } else {
-                let (begin, end) = domains[depth][a];
-                for k in begin..end {
-                    let c = lists[k as usize];
-                    if fits(c as usize) && lists.len() < lists.capacity() {
-                        lists.push(c);
-                    }
-                }
-            }
-            domains[depth + 1][a] = (first, lists.len() as u32);
-        }
-        let room = lists.len() < lists.capacity();
-        self.search.complete &= room;
-        room
+        (!self.is_over(&cost)).then_some(cost)
     }
 
-    fn finish(&mut self) {
-        let all = self.candidates.all();
-        let chosen = self.chosen.map(|c| c.map(|c| &all[c as usize]));
-        let anchors = self.judge.model.anchors.len();
-        let limit = self.found.threshold(self.limits.fitness_max);
-        let Some(terms) = self.judge.terms(&chosen[..anchors], limit) else { return };
-        if !terms.is_match() {
-            return;
-        }
+    /// The domains of the next depth: of the wanted anchors, what is at the model's distance. Says whether enough of the
+    /// open ones have any.
+    fn narrow(&mut self, depth: usize, anchor: usize, n: usize, wanted: u32, open: u32) -> bool {
+        let (anchors, words) = (self.anchors(), self.words);
+        let Exhaustive { level, neighbours, domains, counts, .. } = &mut *self.search;
+        let rows = neighbours.of(self.candidates, anchor, n);
+        let (before, after) = domains.split_at_mut((depth + 1) * anchors * words);
+        let before = &before[depth * anchors * words..];
+        rows::intersect(*level, [before, rows], words, wanted, after, &mut counts[depth + 1]);
+        self.is_viable(depth + 1, open)
+    }
+
+    fn finish(&mut self, depth: usize) {
+        let limit = self.limit();
+        let Some(terms) = self.terms(limit) else { return };
         let fitness = terms.fitness(&self.judge.weights);
-        if self.is_part_of_a_fitter_one(chosen, fitness) {
+        if self.is_part_of_a_fitter_one(depth, fitness) {
             return;
         }
         let mut nodes = [UNMATCHED; ANCHORS_MAX];
-        for (node, c) in nodes.iter_mut().zip(&chosen) {
-            *node = c.map_or(UNMATCHED, |c| c.stereo);
+        for (node, &n) in nodes.iter_mut().zip(&self.chosen[..self.anchors()]) {
+            *node = self.all.get(n as usize).map_or(UNMATCHED, |c| c.stereo);
         }
-        self.found.insert(StereoMatch { nodes, fitness });
+        self.found.insert_new(StereoMatch { nodes, fitness });
+    }
+
+    /// What [`Judge::terms`] gives for the chosen candidates, which contradict each other in nothing but that a span may
+    /// be bare.
+    fn terms(&mut self, limit: f64) -> Option<Terms> {
+        let anchors = self.anchors();
+        let (mut matched, mut gap_px) = (0usize, 0f32);
+        for c in self.chosen[..anchors].iter().filter_map(|&n| self.all.get(n as usize)) {
+            (matched, gap_px) = (matched + 1, gap_px + c.gap_px);
+        }
+        let (mut length_3d_mm, mut length_2d_px, mut missing) = (0f64, 0f32, 0);
+        let (mut spans, mut looks) = (0.0, 0);
+        for (k, span) in self.judge.model.spans.iter().enumerate() {
+            let (from, to) = (self.chosen[span.from], self.chosen[span.to]);
+            if from == UNMATCHED || to == UNMATCHED {
+                continue;
+            }
+            let measured = self.search.measures.span(self.judge, self.all, k, from, to)?;
+            length_3d_mm += measured.length_3d_mm as f64;
+            length_2d_px += measured.length_2d_px;
+            missing += measured.missing;
+            (spans, looks) = (spans + 1.0, looks + 2 * span.looks);
+        }
+        if spans == 0.0 {
+            let chosen = self.chosen.map(|n| self.all.get(n as usize));
+            return self.judge.terms(&chosen[..anchors], limit).filter(|t| t.is_match());
+        }
+        let terms = Terms {
+            length_3d_mm: length_3d_mm / spans,
+            length_2d_px: length_2d_px as f64 / (2.0 * spans),
+            missing: f64::from(missing) / f64::from(looks),
+            gap_px: gap_px as f64 / matched.max(1) as f64,
+            unmatched: (anchors - matched) as f64,
+            contradictions: 0.0,
+        };
+        (terms.fitness(&self.judge.weights) < limit).then_some(terms)
     }
 
     /// Whether one of the anchors left out could be matched too, for a fitness no worse.
-    fn is_part_of_a_fitter_one<'c>(
-        &'c self,
-        mut chosen: [Option<&'c Candidate>; ANCHORS_MAX],
-        fitness: f64,
-    ) -> bool {
-        let anchors = self.judge.model.anchors.len();
-        let depth = chosen.iter().flatten().count();
-        for a in (0..anchors).filter(|a| self.left_out >> a & 1 == 1) {
-            let (begin, end) = self.search.domains[depth][a];
-            // equal is no worse
-            let limit = fitness * (1.0 + 1e-9) + 1e-12;
-            for k in begin..end {
-                chosen[a] = Some(&self.candidates.all()[self.search.lists[k as usize] as usize]);
-                if self.judge.terms(&chosen[..anchors], limit).is_some_and(|t| t.is_match()) {
-                    return true;
+    fn is_part_of_a_fitter_one(&mut self, depth: usize, fitness: f64) -> bool {
+        // equal is no worse
+        let limit = fitness * (1.0 + 1e-9) + 1e-12;
+        let mut left_out = self.left_out;
+        while left_out != 0 {
+            let a = left_out.trailing_zeros() as usize;
+            left_out &= left_out - 1;
+            for w in 0..self.words {
+                let mut bits = self.domains(depth)[a * self.words + w];
+                while bits != 0 {
+                    self.chosen[a] = (w * CHUNK) as u16 + bits.trailing_zeros() as u16;
+                    bits &= bits - 1;
+                    let fitter = self.terms(limit).is_some();
+                    self.chosen[a] = UNMATCHED;
+                    if fitter {
+                        return true;
+                    }
                 }
-                chosen[a] = None;
             }
         }
         false

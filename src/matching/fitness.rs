@@ -30,11 +30,13 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::candidates::Candidate;
+use super::looks::{Parabola, missing_on};
 use super::nodes::NodeRole;
 use super::placement::rigid_motion;
 use super::problem::{ANCHORS_MAX, MatchModel, Span};
 use crate::rig::Rig;
 use crate::vision::bits::BitImage;
+use crate::vision::level::Level;
 
 /// Stands for a node of the model that is not matched.
 pub const UNMATCHED: u16 = u16::MAX;
@@ -125,6 +127,8 @@ pub struct Judge<'a> {
     pub weights: Weights,
     /// Two nodes' distance may differ from the model's by this many mm.
     pub length_tolerance_mm: f64,
+    /// Which instructions read the pictures; the result does not depend on it.
+    pub level: Level,
 }
 
 /// A candidate for each anchor of the model; `None` where it is not matched.
@@ -252,14 +256,16 @@ impl Judge<'_> {
     /// How many of the `2 * span.looks` pixels on the straight line between two nodes are background; once they
     /// are more than `enough`, how many more does not matter.
     pub(super) fn missing(&self, span: &Span, a: &Candidate, b: &Candidate, enough: u32) -> u32 {
-        let middle = [0, 1, 2].map(|k| (a.point_mm[k] + b.point_mm[k]) as f64 / 2.0);
-        let middle = self.project(&Point3::from(middle));
+        let middle = Point3::from([0, 1, 2].map(|k| (a.point_mm[k] + b.point_mm[k]) as f64 / 2.0));
         let mut missing = 0;
         for side in 0..2 {
-            missing += match middle[side] {
-                Some(middle) if missing <= enough => {
-                    let ends = (a.seen_px[side], b.seen_px[side]);
-                    missing_on(self.masks[side], ends.0, middle, ends.1, span.looks, enough - missing)
+            if missing > enough {
+                break;
+            }
+            missing += match self.project(side, &middle) {
+                Some(middle) => {
+                    let curve = Parabola::new(a.seen_px[side], middle, b.seen_px[side]);
+                    missing_on(self.level, self.masks[side], &curve, span.looks, enough - missing)
                 }
                 _ => span.looks,
             };
@@ -267,10 +273,15 @@ impl Judge<'_> {
         missing
     }
 
-    /// Where both cameras see a point.
-    fn project(&self, point: &Point3<f64>) -> [Option<[f32; 2]>; 2] {
-        [self.rig.project_left(point), self.rig.project_right(point)]
-            .map(|px| px.map(|px| [px.x as f32, px.y as f32]))
+    /// Where the left (0) or the right camera (1) sees a point.
+    #[inline]
+    fn project(&self, side: usize, point: &Point3<f64>) -> Option<[f32; 2]> {
+        let px = if side == 0 { self.rig.project_left(point) } else { self.rig.project_right(point) };
+        px.map(|px| [px.x as f32, px.y as f32])
+    }
+
+    fn project_both(&self, point: &Point3<f64>) -> [Option<[f32; 2]>; 2] {
+        [0, 1].map(|side| self.project(side, point))
     }
 
     /// Share of background on the wire of the part that is laid through the matched nodes.
@@ -292,17 +303,19 @@ impl Judge<'_> {
         let mut points = [Point3::origin(); ANCHORS_MAX];
         for ((point, end), anchor) in points.iter_mut().zip(&mut ends).zip(&self.model.anchors) {
             *point = left_from_part * anchor.position_mm;
-            *end = self.project(point);
+            *end = self.project_both(point);
         }
         let (mut found, mut looks) = (0, 0);
         for span in &self.model.spans {
-            let middle = self.project(&nalgebra::center(&points[span.from], &points[span.to]));
+            let middle = self.project_both(&nalgebra::center(&points[span.from], &points[span.to]));
             for side in 0..2 {
                 looks += span.looks;
                 if let (Some(a), Some(m), Some(b)) =
                     (ends[span.from][side], middle[side], ends[span.to][side])
                 {
-                    found += span.looks - missing_on(self.masks[side], a, m, b, span.looks, u32::MAX);
+                    let curve = Parabola::new(a, m, b);
+                    found +=
+                        span.looks - missing_on(self.level, self.masks[side], &curve, span.looks, u32::MAX);
                 }
             }
         }
@@ -332,42 +345,6 @@ pub(super) fn distance_mm(a: &Candidate, b: &Candidate) -> f32 {
 fn apart_px(a: [f32; 2], b: [f32; 2]) -> f32 {
     let (x, y) = (a[0] - b[0], a[1] - b[1]);
     (x * x + y * y).sqrt()
-}
-
-/// Background among `looks` evenly spaced pixels of the parabola through both ends and the middle; once they are more
-/// than `enough`, how many more does not matter.
-#[inline]
-fn missing_on(
-    mask: &BitImage,
-    from: [f32; 2],
-    middle: [f32; 2],
-    to: [f32; 2],
-    looks: u32,
-    enough: u32,
-) -> u32 {
-    // moved up, so that cutting off the decimals rounds to the nearest pixel left of and above the picture too
-    const UP: f32 = 1024.5;
-    /// Looks that are skipped at first: between nodes that nothing joins most is background, wherever one looks.
-    const STRIDE: u32 = 8;
-    let curve = |k: usize| {
-        let bend = 2.0 * (from[k] + to[k] - 2.0 * middle[k]);
-        (from[k] + UP, to[k] - from[k] - bend, bend)
-    };
-    let ((x0, x1, x2), (y0, y1, y2)) = (curve(0), curve(1));
-    let step = 1.0 / looks as f32;
-    let mut missing = 0;
-    for first in 0..STRIDE.min(looks) {
-        for k in (first..looks).step_by(STRIDE as usize) {
-            let t = (k as f32 + 0.5) * step;
-            let (x, y) = (x0 + t * (x1 + t * x2), y0 + t * (y1 + t * y2));
-            // Far away is outside, also where the subtraction wraps.
-            missing += !mask.get((x as i32).wrapping_sub(1024), (y as i32).wrapping_sub(1024)) as u32;
-        }
-        if missing > enough {
-            break;
-        }
-    }
-    missing
 }
 
 #[cfg(test)]

@@ -6,21 +6,27 @@ use super::fitness::StereoMatch;
 #[derive(Clone, Debug)]
 pub struct Found {
     matches: Vec<StereoMatch>,
+    /// Of the first so many matches; the rest is worked out where one is looked for.
     hashes: Vec<u64>,
+    /// Scratch of [`sort`](Self::sort).
+    ranked: Vec<(i64, u16)>,
+    unsorted: Vec<StereoMatch>,
     matches_max: usize,
-    /// The greatest fitness.
+    /// The greatest fitness, where there are as many as are kept.
     worst: f64,
 }
 
 impl Found {
-    /// Memory for `matches_max` matches, one at least.
+    /// Memory for `matches_max` matches, one at least and 65 535 at most.
     pub fn new(matches_max: usize) -> Self {
-        let matches_max = matches_max.max(1);
+        let matches_max = matches_max.clamp(1, u16::MAX as usize);
         Self {
             matches: Vec::with_capacity(matches_max),
             hashes: Vec::with_capacity(matches_max),
+            ranked: Vec::with_capacity(matches_max),
+            unsorted: Vec::with_capacity(matches_max),
             matches_max,
-            worst: f64::NEG_INFINITY,
+            worst: f64::INFINITY,
         }
     }
 
@@ -33,25 +39,30 @@ impl Found {
     pub fn clear(&mut self) {
         self.matches.clear();
         self.hashes.clear();
-        self.worst = f64::NEG_INFINITY;
     }
 
     /// Puts the fittest first; equal ones by their nodes.
     pub fn sort(&mut self) {
-        self.matches
-            .sort_unstable_by(|a, b| a.fitness.total_cmp(&b.fitness).then_with(|| a.nodes.cmp(&b.nodes)));
-        self.hashes.clear();
-        self.hashes.extend(self.matches.iter().map(hash));
+        let Self { matches, hashes, ranked, unsorted, .. } = self;
+        unsorted.clear();
+        unsorted.extend_from_slice(matches);
+        ranked.clear();
+        ranked.extend(unsorted.iter().enumerate().map(|(n, m)| (in_order(m.fitness), n as u16)));
+        ranked.sort_unstable_by(|a, b| {
+            a.0.cmp(&b.0).then_with(|| unsorted[a.1 as usize].nodes.cmp(&unsorted[b.1 as usize].nodes))
+        });
+        matches.clear();
+        matches.extend(ranked.iter().map(|&(_, n)| unsorted[n as usize]));
+        hashes.clear();
     }
 
     /// Whether a match of these nodes is in.
-    pub fn contains(&self, found: &StereoMatch) -> bool {
-        self.place(found, hash(found)).is_some()
-    }
-
-    fn place(&self, found: &StereoMatch, hash: u64) -> Option<usize> {
-        let same = |&(i, h): &(usize, &u64)| *h == hash && self.matches[i].nodes == found.nodes;
-        self.hashes.iter().enumerate().find(same).map(|(i, _)| i)
+    pub fn contains(&mut self, found: &StereoMatch) -> bool {
+        let known = self.hashes.len();
+        self.hashes.extend(self.matches[known..].iter().map(hash));
+        let hash = hash(found);
+        let same = |(i, h): (usize, &u64)| *h == hash && self.matches[i].nodes == found.nodes;
+        self.hashes.iter().enumerate().any(same)
     }
 
     /// The fitness from which on nothing more is kept: `fitness_max`, or that of the least fit where it is full.
@@ -62,25 +73,38 @@ impl Found {
 
     /// Takes a match; says whether it is new and was kept. Over the limit the least fit goes.
     pub fn insert(&mut self, found: StereoMatch) -> bool {
-        let hash = hash(&found);
-        let full = self.matches.len() == self.matches_max;
-        if (full && found.fitness >= self.worst) || self.place(&found, hash).is_some() {
-            return false;
-        }
-        if full {
+        !self.contains(&found) && self.insert_new(found)
+    }
+
+    /// Takes a match that is not in; says whether it was kept. Over the limit the least fit goes.
+    pub fn insert_new(&mut self, found: StereoMatch) -> bool {
+        if self.matches.len() == self.matches_max {
+            if found.fitness >= self.worst {
+                return false;
+            }
             let worst = self.matches.iter().rposition(|m| m.fitness == self.worst).unwrap_or(0);
             self.matches.swap_remove(worst);
-            self.hashes.swap_remove(worst);
+            self.hashes.truncate(worst);
         }
         self.matches.push(found);
-        self.hashes.push(hash);
-        self.worst = self.matches.iter().map(|m| m.fitness).fold(f64::NEG_INFINITY, f64::max);
+        if self.matches.len() == self.matches_max {
+            let worse = |a: f64, m: &StereoMatch| if m.fitness > a { m.fitness } else { a };
+            self.worst = self.matches.iter().fold(f64::NEG_INFINITY, worse);
+        }
         true
     }
 }
 
+/// A number that is in the order of [`f64::total_cmp`].
+fn in_order(value: f64) -> i64 {
+    let bits = value.to_bits() as i64;
+    bits ^ (((bits >> 63) as u64) >> 1) as i64
+}
+
 fn hash(found: &StereoMatch) -> u64 {
-    found.nodes.iter().fold(0xcbf2_9ce4_8422_2325, |h, &n| (h ^ n as u64).wrapping_mul(0x0100_0000_01b3))
+    let word = |four: &[u16; 4]| four.iter().fold(0, |word, &n| word << 16 | n as u64);
+    let (fours, _) = found.nodes.as_chunks::<4>();
+    fours.iter().fold(0xcbf2_9ce4_8422_2325, |h, four| (h ^ word(four)).wrapping_mul(0x9e37_79b9_7f4a_7c15))
 }
 
 #[cfg(test)]
@@ -96,7 +120,8 @@ mod tests {
         assert!(found.threshold(1.0) == 1.0 && found.insert(of(2, 0.3)) && found.threshold(1.0) == 0.5);
         assert!(!found.insert(of(3, 0.9)));
         assert!(found.insert(of(4, 0.1)) && found.contains(&of(4, 0.1)) && !found.contains(&of(1, 0.5)));
+        assert!(!found.insert(of(4, 0.0)) && found.insert_new(of(5, -0.0)) && !found.contains(&of(2, 0.3)));
         found.sort();
-        assert_eq!(found.matches().iter().map(|m| m.fitness).collect::<Vec<_>>(), [0.1, 0.3]);
+        assert_eq!(found.matches().iter().map(|m| m.fitness).collect::<Vec<_>>(), [0.0, 0.1]);
     }
 }

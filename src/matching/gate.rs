@@ -8,7 +8,9 @@ use nalgebra::{Vector2, Vector3};
 
 use super::nodes::{ImageNode, NodeRole};
 use super::problem::{StereoNode, common_role};
+use super::rows::{self, CHUNK, for_bits};
 use crate::rig::{Rig, StereoGeometry};
+use crate::vision::level::Level;
 
 /// Which nodes of the right picture may go with a node of the left one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -55,6 +57,15 @@ impl Default for GateParams {
 }
 
 impl GateParams {
+    /// Distance from the epipolar line at most for two nodes that look like this together.
+    fn gap_max(&self, role: NodeRole) -> f64 {
+        match (self.mode, role) {
+            (Mode::None, _) => self.open_gap_px_max,
+            (Mode::Epipolar, NodeRole::Junction) => self.junction_gap_px_max,
+            (Mode::Epipolar, _) => self.gap_px_max,
+        }
+    }
+
     /// Whether a pair is one that the closed gate would let through by its gap.
     pub fn is_near(&self, node: &StereoNode) -> bool {
         let most = if node.role == NodeRole::Junction { self.junction_gap_px_max } else { self.gap_px_max };
@@ -80,8 +91,11 @@ impl GateParams {
 pub struct Gate {
     params: GateParams,
     nodes: Vec<StereoNode>,
+    level: Level,
+    /// Filled up with what is not a number to a multiple of [`CHUNK`].
     right_rays: [Vec<f32>; 2],
-    gaps_px: Vec<f32>,
+    /// One bit a right node: whether it is near the line.
+    near: Vec<u64>,
     truncated: bool,
 }
 
@@ -89,11 +103,13 @@ impl Gate {
     /// Reserves all memory.
     pub fn new(params: GateParams) -> Self {
         let row = || Vec::with_capacity(ROW);
+        let near = Vec::with_capacity(ROW / CHUNK);
         Self {
             params,
             nodes: Vec::with_capacity(params.nodes_max),
+            level: Level::detect(),
             right_rays: [row(), row()],
-            gaps_px: row(),
+            near,
             truncated: false,
         }
     }
@@ -114,58 +130,57 @@ impl Gate {
         self.truncated = false;
         let geometry = rig.geometry();
         let focal_px = (rig.right.fx + rig.right.fy) / 2.0;
-        for axis in 0..2 {
-            self.right_rays[axis].clear();
-            self.right_rays[axis].extend(right.iter().map(|r| r.ray[axis] as f32));
+        let Self { params, nodes, level, right_rays, near, truncated } = self;
+        let words = right.len().div_ceil(CHUNK);
+        for (axis, list) in right_rays.iter_mut().enumerate() {
+            list.clear();
+            list.extend(right.iter().map(|r| r.ray[axis] as f32));
+            list.resize(words * CHUNK, f32::NAN);
         }
-        let widest = match self.params.mode {
-            Mode::Epipolar => self.params.junction_gap_px_max.max(self.params.gap_px_max),
-            Mode::None => self.params.open_gap_px_max,
-        };
+        near.resize(words, 0);
+        let [xs, ys] = [&right_rays[0][..], &right_rays[1][..]];
+        let widest = params.gap_max(NodeRole::Junction).max(params.gap_max(NodeRole::End));
+        // a little wider for single precision: what each pair is allowed is looked at below
+        let widest = (widest * (1.0 + 1e-6)) as f32;
         for (i, l) in left.iter().enumerate() {
             let line = geometry.essential * Vector3::new(l.ray.x, l.ray.y, 1.0);
             let scaled = (line * (focal_px / line.x.hypot(line.y).max(1e-12))).map(|v| v as f32);
-            let [xs, ys] = &self.right_rays;
-            self.gaps_px.clear();
-            self.gaps_px
-                .extend(xs.iter().zip(ys).map(|(x, y)| (scaled.x * x + scaled.y * y + scaled.z).abs()));
-            for j in 0..right.len() {
-                let gap_px = self.gaps_px[j] as f64;
-                // the comparison also refuses what is not a number
-                if gap_px.is_nan() || gap_px > widest {
-                    continue;
-                }
-                let Some((node, z_mm)) = stereo_node(&self.params, &geometry, [left, right], i, j, gap_px)
-                else {
-                    continue;
-                };
-                let thick = self.params.mode == Mode::None
-                    || node.role == NodeRole::Junction
-                    || self.thickness_fits(l, &right[j], z_mm, rig, thickness_mm);
-                if !thick || (self.params.mode == Mode::Epipolar && !self.params.is_near(&node)) {
-                    continue;
-                }
-                if self.nodes.len() == self.params.nodes_max {
-                    self.truncated = true;
+            rows::near_line(*level, [xs, ys], scaled.into(), widest, near);
+            for_bits(near, |j| {
+                let r = &right[j];
+                let gap_px = (scaled.x * xs[j] + scaled.y * ys[j] + scaled.z).abs() as f64;
+                if common_role(l.role, r.role).is_none_or(|role| gap_px > params.gap_max(role)) {
                     return;
                 }
-                self.nodes.push(node);
+                let Some((node, z_mm)) = stereo_node(params, &geometry, [left, right], i, j, gap_px) else {
+                    return;
+                };
+                let any_thickness = params.mode == Mode::None || node.role == NodeRole::Junction;
+                if any_thickness || thickness_fits(params, l, r, z_mm, rig, thickness_mm) {
+                    *truncated |= nodes.len() == params.nodes_max;
+                    if !*truncated {
+                        nodes.push(node);
+                    }
+                }
+            });
+            if *truncated {
+                return;
             }
         }
     }
+}
 
-    fn thickness_fits(
-        &self,
-        l: &ImageNode,
-        r: &ImageNode,
-        z_mm: f64,
-        rig: &Rig,
-        thickness_mm: [f64; 2],
-    ) -> bool {
-        let seen_mm = (l.half_thickness_px / rig.left.fx + r.half_thickness_px / rig.right.fx) * z_mm;
-        let factor = self.params.thickness_factor_max;
-        seen_mm == 0.0 || (thickness_mm[0] / factor..=thickness_mm[1] * factor).contains(&seen_mm)
-    }
+fn thickness_fits(
+    params: &GateParams,
+    l: &ImageNode,
+    r: &ImageNode,
+    z_mm: f64,
+    rig: &Rig,
+    thickness_mm: [f64; 2],
+) -> bool {
+    let seen_mm = (l.half_thickness_px / rig.left.fx + r.half_thickness_px / rig.right.fx) * z_mm;
+    let factor = params.thickness_factor_max;
+    seen_mm == 0.0 || (thickness_mm[0] / factor..=thickness_mm[1] * factor).contains(&seen_mm)
 }
 
 /// Image nodes of a picture that memory is reserved for; more are taken at the price of an allocation.

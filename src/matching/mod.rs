@@ -7,6 +7,7 @@
 //! ```
 
 pub mod candidates;
+mod dominance;
 pub mod drawn;
 pub mod exhaustive;
 pub mod fitness;
@@ -17,6 +18,9 @@ pub mod hypotheses;
 pub mod improved;
 pub mod length_table;
 pub mod lines;
+pub mod looks;
+pub mod measures;
+pub mod neighbours;
 pub mod nodes;
 pub mod open;
 pub mod placement;

@@ -116,6 +116,7 @@ pub struct Search {
     gate_params: GateParams,
     gate: Gate,
     candidates: Candidates,
+    along_curve: bool,
     exhaustive: Exhaustive,
     harmony: Harmony,
     random: Random,
@@ -151,6 +152,7 @@ impl Search {
             gate_params,
             gate: Gate::new(gate_params),
             candidates: Candidates::new(nodes_max),
+            along_curve: false,
             exhaustive: Exhaustive::new(nodes_max),
             harmony: Harmony::new(harmony::Params { variant, stale_improvisations, ..params.harmony }),
             random: Random::new(params.random),
@@ -204,8 +206,8 @@ impl Search {
             return;
         }
         self.gate.run(rig, left, right, thickness_mm);
-        let curve = !matches!(self.params.method, Method::Exhaustive | Method::Random);
-        self.candidates.fill(&rig.geometry(), self.gate.nodes(), left, right, curve);
+        self.along_curve = !matches!(self.params.method, Method::Exhaustive | Method::Auto | Method::Random);
+        self.candidates.fill(&rig.geometry(), self.gate.nodes(), left, right, self.along_curve);
     }
 
     /// The exact search, if the method has one; `judge_of` gives what matches of each part are judged by.
@@ -234,6 +236,11 @@ impl Search {
         }
         let mut dice = Dice(Pcg32::seed_from_u64(seed));
         let geometry = rig.geometry();
+        if !self.along_curve && self.open.is_none() && self.params.method != Method::Random {
+            // only this search asks for neighbours, and mostly it is not needed
+            self.candidates.fill(&geometry, self.gate.nodes(), left, right, true);
+            self.along_curve = true;
+        }
         let pictures = Pictures { geometry: &geometry, nodes: [left, right] };
         let before = *used;
         self.by_chance(&judge_of, pictures, budget, used, &mut dice);

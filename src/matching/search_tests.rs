@@ -61,10 +61,10 @@ fn a_seed_repeats_and_a_budget_is_kept_by_every_method() {
     let scene = DrawnScene::new(3, 6, 6);
     for method in METHODS {
         for mode in [Mode::Epipolar, Mode::None] {
-            let [one, two] = [4, 4].map(|seed| run(&scene, method, mode, 40, seed));
+            let [one, two] = [4, 4].map(|seed| run(&scene, method, mode, 12, seed));
             assert_eq!(one.matches(0), two.matches(0), "{method:?}");
             assert_eq!(one.nodes(), two.nodes());
-            assert!(one.iterations() <= 40 && one.iterations() == two.iterations());
+            assert!(one.iterations() <= 12 && one.iterations() == two.iterations());
             assert!(one.is_out_of_time() && run(&scene, method, mode, 0, 4).iterations() == 0);
         }
     }

@@ -24,6 +24,7 @@ use crate::picture::Picture;
 use crate::rig::Rig;
 use crate::time::{Budget, Timestamp};
 use crate::vision::binarize;
+use crate::vision::level::Level;
 use crate::vision::ridge::{self, Ridges};
 
 use explanations::{Explanations, Scene};
@@ -174,6 +175,7 @@ impl Recognizer {
             model: &parts[part].match_model,
             weights: params.weights,
             length_tolerance_mm: params.search.length_tolerance_mm,
+            level: Level::detect(),
         };
         search.begin(rig, left, right, thickness_mm);
         search.run_exact(judge_of, budget);
@@ -241,6 +243,7 @@ impl Recognizer {
                 model: &prepared.match_model,
                 weights: params.weights,
                 length_tolerance_mm: params.search.length_tolerance_mm,
+                level: Level::detect(),
             };
             lines.hypotheses(index, &judge, pool);
         }

@@ -5,7 +5,7 @@
 pub enum Level {
     /// 64-bit words, on every machine.
     Plain,
-    /// 256-bit vectors: AVX2 with BMI1 and BMI2 (Haswell, Zen and later).
+    /// 256-bit vectors: AVX2 with BMI1, BMI2 and POPCNT (Haswell, Zen and later).
     Avx2,
     /// 512-bit vectors: AVX-512 with F, BW, DQ, VL, VBMI, VBMI2 and VNNI (Ice Lake, Zen 4 and later).
     Avx512,
@@ -23,7 +23,8 @@ impl Level {
         {
             let avx2 = is_x86_feature_detected!("avx2")
                 && is_x86_feature_detected!("bmi1")
-                && is_x86_feature_detected!("bmi2");
+                && is_x86_feature_detected!("bmi2")
+                && is_x86_feature_detected!("popcnt");
             let avx512 = avx2
                 && is_x86_feature_detected!("avx512f")
                 && is_x86_feature_detected!("avx512bw")
