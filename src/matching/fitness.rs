@@ -144,7 +144,7 @@ impl Judge<'_> {
     /// Where there are fewer entries than anchors.
     pub fn terms(&self, chosen: &Chosen, limit: f64) -> Option<Terms> {
         let below = |terms: &Terms| terms.fitness(&self.weights) < limit;
-        let mut terms = self.plain_terms(chosen);
+        let mut terms = self.plain_terms(chosen, limit)?;
         if !below(&terms) {
             return None;
         }
@@ -189,8 +189,8 @@ impl Judge<'_> {
         Some(terms).filter(below)
     }
 
-    /// The terms that need no span: gap, unmatched and contradictions.
-    fn plain_terms(&self, chosen: &Chosen) -> Terms {
+    /// The terms that need no span: gap, unmatched and contradictions; `None` where these alone are `limit` or more.
+    fn plain_terms(&self, chosen: &Chosen, limit: f64) -> Option<Terms> {
         let anchors = &self.model.anchors;
         let (mut matched, mut gap_px, mut contradictions) = (0usize, 0f32, 0usize);
         for (i, anchor) in anchors.iter().enumerate() {
@@ -204,14 +204,18 @@ impl Judge<'_> {
                 let off = (distance_mm(a, b) - self.model.distance_mm(i, j) as f32).abs();
                 contradictions += (twice || off > self.length_tolerance_mm as f32) as usize;
             }
+            // a harmony of many nodes mostly has more than enough after a few
+            if contradictions as f64 * self.weights.contradiction >= limit {
+                return None;
+            }
         }
         contradictions += self.model.required().saturating_sub(matched);
-        Terms {
+        Some(Terms {
             gap_px: gap_px as f64 / matched.max(1) as f64,
             unmatched: (anchors.len() - matched) as f64,
             contradictions: contradictions as f64,
             ..Terms::default()
-        }
+        })
     }
 
     /// The spans with both ends matched by nodes that have a place in space.
