@@ -5,6 +5,11 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
+use firmware_bridge::message::{Command as ArmCommand, Failure, HeldBy, Pick, Pose, Refusal, Report, Seen};
+use pickcell::camera::Side;
+use pickcell::session::events::{CommandRecord, ReportRecord, Topic};
+use pickcell::session::{About, RecordingWriter, Session};
+use pickcell::time::Timestamp;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use tempfile::TempDir;
@@ -115,6 +120,88 @@ fn a_recorded_run_is_the_same_when_it_is_run_again() {
     let again = Cell::fast(&[("session = \"", &format!("session = \"{}\" # \"", file.display()))]);
     assert_eq!(fast_lines(&again), lines);
     assert_eq!(lines.len(), 20);
+}
+
+/// A pick as a recording holds it, and what the arm said to it and when, ms.
+type Answered<'a> = (u64, &'a [(i64, Report)]);
+
+/// The session of the project as a recording, with an arm of one's own.
+fn recording(path: &Path, picks: &[Answered<'_>]) {
+    let mut writer = RecordingWriter::create(path, &About::default()).unwrap();
+    let conveyor = Session::open(&Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/conveyor")).unwrap();
+    for pair in &conveyor.pairs {
+        for (side, picture) in Side::BOTH.into_iter().zip(&pair.pictures) {
+            let mut frame = picture.as_ref().unwrap().read().unwrap();
+            frame.timestamp = Timestamp(1 + pair.after_ns);
+            writer.frame(side, &mut frame).unwrap();
+        }
+    }
+    let report = |writer: &mut RecordingWriter, ms: i64, report: Report| {
+        writer.record(Topic::Report, Timestamp(ms * 1_000_000), &ReportRecord { report }).unwrap();
+    };
+    report(&mut writer, 0, Report::Connected { session: 3, held_by: HeldBy::Start });
+    for (n, (id, answers)) in picks.iter().enumerate() {
+        let at_ms = 1000 * n as i64;
+        let pose = Pose { position_mm: [0.0; 3], orientation_xyzw: [1.0, 0.0, 0.0, 0.0] };
+        let pick = Pick {
+            id: *id,
+            session: 3,
+            sequence: 1,
+            seen: Seen::default(),
+            deadline_ms: 0,
+            ttl_ms: 0,
+            recognised_mm: [0.0; 3],
+            approach: pose,
+            grasp: pose,
+            retreat: pose,
+            place: pose,
+            opening_mm: 8.0,
+            slot: 0,
+        };
+        let record = CommandRecord { command: ArmCommand::Pick(pick), refused: None };
+        writer.record(Topic::Command, Timestamp(at_ms * 1_000_000), &record).unwrap();
+        answers.iter().for_each(|&(after_ms, answer)| report(&mut writer, at_ms + after_ms, answer));
+    }
+    writer.finish().unwrap();
+}
+
+#[test]
+fn a_recorded_arm_answers_as_it_did_until_its_answers_are_used_up() {
+    let ready = Report::Ready { clear_of_view: true };
+    let refused = Report::Refused { id: 6, refusal: Refusal::Unreachable };
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.mcap");
+    recording(
+        &path,
+        &[
+            (
+                5,
+                &[
+                    (2, Report::Sent { id: 5, at_ns: 0 }),
+                    (4, Report::Accepted { id: 5 }),
+                    (10, Report::Moving { id: 5 }),
+                    (90, Report::Failed { id: 5, failure: Failure::PartNotHeld }),
+                    (95, ready),
+                ],
+            ),
+            (6, &[(3, Report::Sent { id: 6, at_ns: 0 }), (8, refused), (9, ready)]),
+        ],
+    );
+    let cell = Cell::fast(&[("session = \"", &format!("session = \"{}\" # \"", path.display()))]);
+    let output = cell.run(&["--overlay", "none"]);
+    let (text, log) = (stdout(&output), stderr(&output));
+    assert_eq!(output.status.code(), Some(0), "{log}");
+    assert!(log.contains("the arm answers as that of the recorded session did"), "{log}");
+    let said = [
+        "failed: the part was not held",
+        "refused: the arm cannot reach it",
+        "answers of the recorded session's arm are used up",
+        "arm on hold (RecordingOver)",
+    ];
+    let places: Vec<_> = said.iter().map(|words| log.find(words)).collect();
+    assert!(places.iter().all(Option::is_some) && places.is_sorted(), "{places:?} in {log}");
+    assert_eq!((row(&text, "targets failed"), row(&text, "targets refused")), (Some(1), Some(2)), "{text}");
+    assert!(row(&text, "no target: on hold").unwrap() > 5, "{text}");
 }
 
 #[test]

@@ -8,7 +8,7 @@
 //! | [`gate`] | the last check before a target is encoded | hot, pure |
 //! | [`dialect`] | one state machine per language of arms: messages in, bytes out, and back | hot, pure |
 //! | [`gcode`] | the dialects of G-code: move templates, Grbl, Marlin, uArm | hot but for the templates, pure |
-//! | [`link`] | serial line, shared memory, simulated arm: what carries it | edge |
+//! | [`link`] | serial line, shared memory, simulated and recorded arm: what carries it | edge |
 //! | [`realtime`] | rights that hot threads ask the system for, of the driver too | edge |
 //! | [`simulate`] | the firmware's end of each language, with faults on demand | pure |
 //!

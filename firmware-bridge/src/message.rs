@@ -286,6 +286,8 @@ pub enum HeldBy {
     Alarm,
     /// A button at the arm (door, feed hold).
     Operator,
+    /// The arm of a recorded session has no further answer. Never on a wire.
+    RecordingOver,
 }
 
 /// How a lost connection was noticed.
@@ -422,6 +424,8 @@ pub enum Refusal {
     NotAcknowledged,
     /// The other side of the link refused it (shared memory: the bridge's gate).
     ByBridge,
+    /// The arm of a recorded session was given no target more.
+    NoRecordedAnswer,
 }
 
 impl fmt::Display for Refusal {
@@ -452,6 +456,9 @@ impl fmt::Display for Refusal {
             Refusal::ByArm { code } => write!(f, "the arm refused it with code {code}"),
             Refusal::NotAcknowledged => write!(f, "the arm did not acknowledge it"),
             Refusal::ByBridge => write!(f, "the bridge refused it"),
+            Refusal::NoRecordedAnswer => {
+                write!(f, "the answers of the recorded session's arm are used up")
+            }
         }
     }
 }

@@ -1,13 +1,13 @@
 //! The arm of the cell: `enum` [`Arm`] over firmware-bridge's links.
 //!
-//! Takes commands, gives reports; owns the link. Driven by one thread. A session without messages of an arm gets the
-//! simulated one, which is a link like the others: same dialect, same gate, same bytes, only the far end is made up.
+//! Takes commands, gives reports; owns the link. Driven by one thread. A session with messages of an arm is
+//! answered by [`Arm::recorded`]; one without gets the simulated one, which is a link like the others: same dialect, same gate, same bytes, only the far end is made up.
 
 use std::os::fd::BorrowedFd;
 use std::time::Duration;
 
 use firmware_bridge::config::Settings;
-use firmware_bridge::link::{Link, LinkError};
+use firmware_bridge::link::{Link, LinkError, Said};
 use firmware_bridge::message::{Command, Refusal, Report};
 
 use crate::handover::wait_readable;
@@ -18,7 +18,7 @@ use crate::time::Timestamp;
 pub enum Arm {
     /// The cell only looks.
     None,
-    /// Serial line, shared memory or the simulated arm, as `[arm]` says.
+    /// Serial line, shared memory, the recorded or the simulated arm, as `[arm]` says.
     Linked(Box<Link>),
 }
 
@@ -29,6 +29,11 @@ impl Arm {
     /// What is missing or taken, with the remedy.
     pub fn open(settings: &Settings, session_seed: u32) -> Result<Self, LinkError> {
         Ok(Arm::Linked(Box::new(Link::open(settings, session_seed)?)))
+    }
+
+    /// The arm of a recorded session, which answers the n-th target as it answered its n-th.
+    pub fn recorded(settings: &Settings, conversation: &[Said], session_seed: u32) -> Self {
+        Arm::Linked(Box::new(Link::recorded(settings, conversation, session_seed)))
     }
 
     /// Makes a simulated arm move so many times as fast as an ordinary one; others stay as they are.

@@ -94,7 +94,7 @@ pub(super) fn open(folder: &Path) -> Result<Session, FolderError> {
         pictures: pictures.map(|picture| picture.map(RecordedPicture::File)),
     };
     let pairs = names.into_iter().enumerate().map(pair).collect();
-    Ok(Session { path: folder.to_owned(), rate_hz, pairs, broken_at: None })
+    Ok(Session { path: folder.to_owned(), rate_hz, pairs, arm: Vec::new(), broken_at: None })
 }
 
 /// Name without ending → file, of every picture in `folder`.

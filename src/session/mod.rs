@@ -26,6 +26,7 @@ pub use records::{Damage, MessageAt, MessageError, RecordingError, RecordingFile
 pub use writer::{About, RecordingWriter, WriteError};
 
 use crate::frame::{ColourEncoding, Frame};
+use firmware_bridge::link::Said;
 use foxglove::ImageKind;
 
 /// What is wrong with a session.
@@ -115,6 +116,8 @@ pub struct Session {
     pub rate_hz: f64,
     /// In their order; at least one.
     pub pairs: Vec<RecordedPair>,
+    /// What cell and arm said to each other, in order; empty where nothing was recorded of it.
+    pub arm: Vec<Said>,
     /// The byte at which a recording breaks off whose end is missing.
     pub broken_at: Option<u64>,
 }

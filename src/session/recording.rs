@@ -4,10 +4,11 @@ use std::collections::{HashMap, HashSet};
 use std::path::Path;
 use std::sync::Arc;
 
+use firmware_bridge::link::{Said, What};
 use mcap::records::Record;
 use prost::Message;
 
-use super::events::{PairRecord, Topic};
+use super::events::{CommandRecord, PairRecord, ReportRecord, Topic};
 use super::foxglove::{self, CompressedImage, ImageKind, RawImage};
 use super::records::{MessageAt, MessageError, RecordAt, RecordingError, RecordingFile};
 use super::{RecordedPair, RecordedPicture, Session};
@@ -52,6 +53,8 @@ struct Index {
     pictures: [Vec<Seen>; 2],
     /// Names of pairs by the time stamps of their left pictures.
     names: HashMap<i64, String>,
+    /// What cell and arm said to each other.
+    arm: Vec<Said>,
 }
 
 /// Reads through a recording.
@@ -95,7 +98,7 @@ pub(super) fn open(path: &Path) -> Result<Session, RecordingError> {
         pictures: pictures.map(|seen| seen.map(picture)),
     };
     let pairs = pairs.into_iter().enumerate().map(&mut pair).collect();
-    Ok(Session { path: path.to_owned(), rate_hz, pairs, broken_at })
+    Ok(Session { path: path.to_owned(), rate_hz, pairs, arm: index.arm, broken_at })
 }
 
 impl Index {
@@ -140,9 +143,25 @@ impl Index {
                     let logged_ns = i64::try_from(header.log_time).unwrap_or(i64::MAX);
                     let wall_ns = stamp.unwrap_or(logged_ns);
                     self.pictures[side.index()].push(Seen { wall_ns, at, channel: header.channel_id });
-                } else if channel.record == Some(Topic::Pair) {
-                    let pair: PairRecord = serde_json::from_slice(&data).map_err(|e| bad(e.into()))?;
-                    self.names.insert(pair.stamps_ns[0], pair.name);
+                    return Ok(());
+                }
+                let at_ns = i64::try_from(header.log_time).unwrap_or(i64::MAX);
+                match channel.record {
+                    Some(Topic::Pair) => {
+                        let pair: PairRecord = serde_json::from_slice(&data).map_err(|e| bad(e.into()))?;
+                        self.names.insert(pair.stamps_ns[0], pair.name);
+                    }
+                    Some(Topic::Command) => {
+                        let said: CommandRecord = serde_json::from_slice(&data).map_err(|e| bad(e.into()))?;
+                        if said.refused.is_none() {
+                            self.arm.push(Said { at_ns, what: What::Command(said.command) });
+                        }
+                    }
+                    Some(Topic::Report) => {
+                        let said: ReportRecord = serde_json::from_slice(&data).map_err(|e| bad(e.into()))?;
+                        self.arm.push(Said { at_ns, what: What::Report(said.report) });
+                    }
+                    _ => {}
                 }
             }
             _ => {}

@@ -22,10 +22,12 @@
 //! ```
 
 mod port;
+mod recorded;
 mod serial;
 pub mod shared;
 mod simulated;
 
+pub use recorded::{Answers, RecordedLink, Said, What};
 pub use serial::{SerialError, SerialLink};
 pub use shared::{SharedError, SharedMemoryLink};
 pub use simulated::SimulatedLink;
@@ -46,6 +48,8 @@ pub enum Link {
     SharedMemory(SharedMemoryLink),
     /// A simulated arm in this process.
     Simulated(SimulatedLink),
+    /// The arm of a recorded session.
+    Recorded(RecordedLink),
 }
 
 /// Why a link cannot be opened.
@@ -69,6 +73,7 @@ macro_rules! each {
             Link::Serial($link) => $call,
             Link::SharedMemory($link) => $call,
             Link::Simulated($link) => $call,
+            Link::Recorded($link) => $call,
         }
     };
 }
@@ -88,6 +93,11 @@ impl Link {
                 Ok(Link::Simulated(SimulatedLink::new(settings, session_seed, Faults::default())?))
             }
         }
+    }
+
+    /// The arm of a recorded session, by what it said; `session_seed` decides the numbers of its sessions.
+    pub fn recorded(settings: &Settings, conversation: &[Said], session_seed: u32) -> Self {
+        Link::Recorded(RecordedLink::new(settings, Answers::new(conversation), session_seed))
     }
 
     /// What the cell wants.
@@ -113,7 +123,7 @@ impl Link {
         let own = match self {
             Link::Serial(link) => link.fd(),
             Link::SharedMemory(link) => link.fd(),
-            Link::Simulated(_) => None,
+            Link::Simulated(_) | Link::Recorded(_) => None,
         };
         wait_for(&[own, wake], until_ns);
     }

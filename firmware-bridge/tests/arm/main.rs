@@ -4,3 +4,4 @@ mod bench;
 mod campaign;
 mod cell;
 mod contract;
+mod recorded;

@@ -250,7 +250,7 @@ impl Core {
         }
         let of_itself = match by {
             HeldBy::Start | HeldBy::ControllerReset | HeldBy::HeartbeatLost | HeldBy::LinkLost => true,
-            HeldBy::Command | HeldBy::Alarm | HeldBy::Operator => false,
+            HeldBy::Command | HeldBy::Alarm | HeldBy::Operator | HeldBy::RecordingOver => false,
         };
         self.arm.held_by_operator |= by == HeldBy::Operator;
         if of_itself && !self.manual() && !self.arm.held_by_operator {

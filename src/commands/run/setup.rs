@@ -6,6 +6,7 @@ use std::time::{Duration, SystemTime};
 
 use firmware_bridge::codec::PACKET_LEN_MAX;
 use firmware_bridge::config::{DialectName, LinkName, Settings};
+use firmware_bridge::link::Said;
 use firmware_bridge::message::Pose;
 
 use super::args::{Overlays, Rate, RunArgs};
@@ -75,6 +76,8 @@ struct Eyes {
     names: Vec<String>,
     pairs: usize,
     replayed: bool,
+    /// What the session's arm said.
+    arm: Vec<Said>,
 }
 
 impl Setup {
@@ -99,7 +102,13 @@ impl Setup {
             && cell.cameras.backend == Backend::Replay
             && cell.cameras.pace == config::Pace::Fast;
         let eyes = eyes(args, &cell, fast)?;
-        let mut arm = Arm::open(&cell.arm_side, session_seed())?;
+        let mut arm = match simulated && args.soak.is_none() && !eyes.arm.is_empty() {
+            true => {
+                tracing::info!("the arm answers as that of the recorded session did");
+                Arm::recorded(&cell.arm_side, &eyes.arm, session_seed())
+            }
+            false => Arm::open(&cell.arm_side, session_seed())?,
+        };
         if args.soak.is_some() {
             arm.hasten(SOAK_TEMPO);
         }
@@ -185,7 +194,7 @@ fn replayed(args: &RunArgs, folder: &Path, fast: bool) -> Result<Eyes, RunError>
     let sides = ReplayCamera::both(&session, &pace, pairs, args.raw)?;
     let frame_bytes = sides.iter().map(ReplayCamera::largest_bytes).max().unwrap_or(0);
     let cameras = sides.map(Camera::Replay);
-    Ok(Eyes { cameras, steps, period, frame_bytes, names, pairs, replayed: true })
+    Ok(Eyes { cameras, steps, period, frame_bytes, names, pairs, replayed: true, arm: session.arm })
 }
 
 fn waker() -> Result<Arc<Waker>, RunError> {
@@ -211,6 +220,7 @@ fn live(cell: &Cell) -> Result<Eyes, RunError> {
         names: Vec::new(),
         pairs: 0,
         replayed: false,
+        arm: Vec::new(),
     })
 }
 

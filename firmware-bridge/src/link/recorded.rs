@@ -1,0 +1,387 @@
+//! The arm of a recorded session: answers the n-th target as that arm answered its n-th, after the same time.
+//!
+//! Takes what cell and arm said to each other while the session was recorded; gives the same answers again, with
+//! the numbers of this run. Owns the list and what of it is still to come. No thread, no randomness, no clock: the same
+//! commands at the same times get the same answers. The last gate is asked as for any other arm.
+//!
+//! What was said is kept by the command that it answers: to the n-th target everything about that target, whenever it
+//! came, and everything else up to the next command (clear of the view, ready, a button, a lost connection); to the n-th
+//! release what followed it. Holds, unlocks, questions and handshakes are answered at once, as a sound arm does.
+//! - A recording that ends before a target did says that the target is lost.
+//! - A target that the recorded operator interrupted by a hold fails again, and the arm is ready after that: this run's
+//!   operator did not hold it.
+//! - When the answers are used up, the next target is refused with [`Refusal::NoRecordedAnswer`] and the arm is on hold
+//!   by [`HeldBy::RecordingOver`], which only an operator ends, until the target after that.
+
+use std::collections::VecDeque;
+
+use crate::config::Settings;
+use crate::gate::Gate;
+use crate::message::{Command, Disconnect, Failure, HeldBy, Outcome, Pick, Refusal, Report};
+
+/// A piece of a recorded conversation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Said {
+    /// When, ns of any clock.
+    pub at_ns: i64,
+    /// What, and by whom.
+    pub what: What,
+}
+
+/// What was said, and by whom.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[allow(clippy::large_enum_variant)] // read once, at the start
+pub enum What {
+    /// The cell, and the arm's side took it.
+    Command(Command),
+    /// The arm's side.
+    Report(Report),
+}
+
+/// A report, and how long after its command it came.
+type Answer = (i64, Report);
+
+/// A recorded conversation, sorted by what answers what.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Answers {
+    held_by: HeldBy,
+    releases: Vec<Vec<Answer>>,
+    picks: Vec<Vec<Answer>>,
+}
+
+/// Whom the reports without a target's number answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Asked {
+    Nobody,
+    Release,
+    Pick,
+}
+
+impl Answers {
+    /// Sorts a conversation, which is in order of time.
+    pub fn new(conversation: &[Said]) -> Self {
+        let mut answers = Self { held_by: HeldBy::Start, releases: Vec::new(), picks: Vec::new() };
+        let first = conversation.iter().find_map(|said| match said.what {
+            What::Report(Report::Connected { held_by, .. }) => Some(held_by),
+            _ => None,
+        });
+        answers.held_by = first.unwrap_or(HeldBy::Start);
+        let mut asked = Asked::Nobody;
+        let (mut release_ns, mut pick_ns, mut pick_id) = (0, 0, None);
+        for said in conversation {
+            match said.what {
+                What::Command(Command::Pick(pick)) => {
+                    (asked, pick_ns, pick_id) = (Asked::Pick, said.at_ns, Some(pick.id));
+                    answers.picks.push(Vec::new());
+                }
+                What::Command(Command::Release) => {
+                    (asked, release_ns) = (Asked::Release, said.at_ns);
+                    answers.releases.push(Vec::new());
+                }
+                What::Command(Command::Query { .. }) => {}
+                What::Command(_) => asked = Asked::Nobody,
+                What::Report(report) => {
+                    let about = target_of(&report);
+                    let is_own = about.is_some() && about == pick_id;
+                    let (list, since_ns) = match asked {
+                        _ if is_own => (answers.picks.last_mut(), pick_ns),
+                        _ if about.is_some() || !is_kept(&report) => continue,
+                        Asked::Pick => (answers.picks.last_mut(), pick_ns),
+                        Asked::Release => (answers.releases.last_mut(), release_ns),
+                        Asked::Nobody => continue,
+                    };
+                    if let Some(list) = list {
+                        list.push((said.at_ns.saturating_sub(since_ns).max(0), report));
+                    }
+                }
+            }
+        }
+        answers.picks.iter_mut().for_each(complete);
+        // A release that the recorded operator took back makes this arm ready: this run's has not.
+        answers.releases.iter_mut().for_each(|list| go_on(list, 0));
+        answers
+    }
+
+    /// How many targets have an answer.
+    pub fn targets(&self) -> usize {
+        self.picks.len()
+    }
+}
+
+/// The target that a report is about.
+fn target_of(report: &Report) -> Option<u64> {
+    match *report {
+        Report::Sent { id, .. }
+        | Report::Accepted { id }
+        | Report::Refused { id, .. }
+        | Report::Moving { id }
+        | Report::Done { id }
+        | Report::Failed { id, .. }
+        | Report::Lost { id } => Some(id),
+        _ => None,
+    }
+}
+
+/// The same report about another target.
+fn about(report: Report, id: u64, at_ns: i64) -> Report {
+    match report {
+        Report::Sent { .. } => Report::Sent { id, at_ns },
+        Report::Accepted { .. } => Report::Accepted { id },
+        Report::Refused { refusal, .. } => Report::Refused { id, refusal },
+        Report::Moving { .. } => Report::Moving { id },
+        Report::Done { .. } => Report::Done { id },
+        Report::Failed { failure, .. } => Report::Failed { id, failure },
+        Report::Lost { .. } => Report::Lost { id },
+        other => other,
+    }
+}
+
+fn is_end(report: &Report) -> bool {
+    matches!(
+        report,
+        Report::Done { .. } | Report::Failed { .. } | Report::Refused { .. } | Report::Lost { .. }
+    )
+}
+
+/// What an arm says without a target's number that makes a difference to the cell.
+fn is_kept(report: &Report) -> bool {
+    matches!(
+        report,
+        Report::Connected { .. }
+            | Report::Disconnected { .. }
+            | Report::Ready { .. }
+            | Report::ClearOfView
+            | Report::Held { .. }
+            | Report::Alarm { .. }
+            | Report::PositionUnknown
+    )
+}
+
+/// Every target ends, and something follows its end.
+fn complete(list: &mut Vec<Answer>) {
+    list.sort_by_key(|(after_ns, _)| *after_ns);
+    let last_ns = list.last().map_or(0, |(after_ns, _)| *after_ns);
+    let Some(end) = list.iter().position(|(_, report)| is_end(report)) else {
+        list.push((last_ns, Report::Lost { id: 0 }));
+        list.push((last_ns, Report::Held { by: HeldBy::RecordingOver }));
+        return;
+    };
+    go_on(list, end);
+}
+
+/// Something that the cell can go on from follows after `from`.
+fn go_on(list: &mut Vec<Answer>, from: usize) {
+    let last_ns = list.last().map_or(0, |(after_ns, _)| *after_ns);
+    let goes_on = |(_, report): &Answer| is_kept(report) && *report != Report::ClearOfView;
+    if !list[from..].iter().any(goes_on) {
+        list.push((last_ns, Report::Ready { clear_of_view: true }));
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    Absent,
+    Held,
+    Alarmed,
+    Released,
+}
+
+/// The arm of a recorded session.
+#[derive(Debug)]
+pub struct RecordedLink {
+    gate: Gate,
+    answers: Answers,
+    /// What is still to come, in order of time.
+    coming: VecDeque<(i64, Report)>,
+    state: State,
+    ready: bool,
+    session: u32,
+    sequence: u32,
+    releases: usize,
+    picks: usize,
+    /// The target that has not ended.
+    unfinished: Option<u64>,
+    /// The last one that has, and how.
+    last: Option<(u64, Outcome)>,
+    not_before_ns: i64,
+    started: bool,
+}
+
+impl RecordedLink {
+    /// An arm that has just been switched on; `session_seed` decides the number of its first session.
+    pub fn new(settings: &Settings, answers: Answers, session_seed: u32) -> Self {
+        let longest = answers.picks.iter().chain(&answers.releases).map(Vec::len).max().unwrap_or(0);
+        Self {
+            gate: Gate::new(settings),
+            coming: VecDeque::with_capacity(longest + 16),
+            answers,
+            state: State::Absent,
+            ready: false,
+            session: session_seed,
+            sequence: 0,
+            releases: 0,
+            picks: 0,
+            unfinished: None,
+            last: None,
+            not_before_ns: i64::MAX,
+            started: false,
+        }
+    }
+
+    /// See [`super::Link::command`].
+    pub fn command(&mut self, command: Command, now_ns: i64) -> Result<(), Refusal> {
+        match command {
+            Command::Pick(pick) => return self.take(&pick, now_ns),
+            Command::Hold => {
+                self.interrupt(now_ns);
+                if self.state != State::Absent {
+                    self.say(now_ns, Report::Held { by: HeldBy::Command });
+                }
+                return Ok(());
+            }
+            Command::Hello => {
+                self.interrupt(now_ns);
+                self.say(now_ns, Report::Disconnected { cause: Disconnect::NewSession });
+                self.say(now_ns, Report::Connected { session: 0, held_by: HeldBy::LinkLost });
+                return Ok(());
+            }
+            _ if self.state == State::Absent => return Err(Refusal::NotConnected),
+            Command::Release => self.release(now_ns),
+            Command::Unlock => self.say(now_ns, Report::Held { by: HeldBy::Alarm }),
+            Command::Query { id } => {
+                let outcome = match self.last {
+                    _ if self.unfinished == Some(id) => Outcome::Unfinished,
+                    Some((last, outcome)) if last == id => outcome,
+                    _ => Outcome::Unknown,
+                };
+                self.say(now_ns, Report::Outcome { id, outcome });
+            }
+        }
+        Ok(())
+    }
+
+    /// See [`super::Link::poll`].
+    pub fn poll(&mut self, now_ns: i64) -> Option<Report> {
+        if !std::mem::replace(&mut self.started, true) {
+            let held_by = self.answers.held_by;
+            self.say(now_ns, Report::Connected { session: 0, held_by });
+        }
+        let &(due_ns, report) = self.coming.front()?;
+        if due_ns > now_ns {
+            return None;
+        }
+        self.coming.pop_front();
+        Some(self.become_so(report, now_ns))
+    }
+
+    /// See [`super::Link::next_deadline_ns`].
+    pub fn next_deadline_ns(&self) -> Option<i64> {
+        if !self.started {
+            return Some(i64::MIN);
+        }
+        self.coming.front().map(|(due_ns, _)| *due_ns)
+    }
+
+    fn take(&mut self, pick: &Pick, now_ns: i64) -> Result<(), Refusal> {
+        match self.state {
+            State::Absent => return Err(Refusal::NotConnected),
+            State::Held => return Err(Refusal::OnHold),
+            State::Alarmed => return Err(Refusal::InAlarm),
+            State::Released => {}
+        }
+        if pick.session != self.session {
+            return Err(Refusal::WrongSession { current: self.session });
+        }
+        if self.unfinished.is_some() || !self.ready {
+            return Err(Refusal::Busy);
+        }
+        if pick.sequence <= self.sequence {
+            return Err(Refusal::OldSequence { last: self.sequence });
+        }
+        self.gate.check(pick, now_ns, self.not_before_ns)?;
+        // What the arm would have said if nothing more had been asked of it.
+        self.coming.clear();
+        let Some(list) = self.answers.picks.get(self.picks) else {
+            self.say(now_ns, Report::Held { by: HeldBy::RecordingOver });
+            return Err(Refusal::NoRecordedAnswer);
+        };
+        for &(after_ns, report) in list {
+            let due_ns = now_ns.saturating_add(after_ns);
+            self.coming.push_back((due_ns, about(report, pick.id, due_ns)));
+        }
+        self.picks += 1;
+        self.sequence = pick.sequence;
+        self.unfinished = Some(pick.id);
+        self.ready = false;
+        Ok(())
+    }
+
+    fn release(&mut self, now_ns: i64) {
+        if self.state != State::Held {
+            return;
+        }
+        self.state = State::Released;
+        self.coming.clear();
+        let ready = [(0, Report::Ready { clear_of_view: true })];
+        let list = self.answers.releases.get(self.releases).map_or(&ready[..], Vec::as_slice);
+        for &(after_ns, report) in list {
+            self.coming.push_back((now_ns.saturating_add(after_ns), report));
+        }
+        self.releases += 1;
+    }
+
+    /// What was to come does not come any more; a target that was under way has failed.
+    fn interrupt(&mut self, now_ns: i64) {
+        self.coming.clear();
+        if let Some(id) = self.unfinished {
+            self.say(now_ns, Report::Failed { id, failure: Failure::Held });
+        }
+    }
+
+    fn say(&mut self, now_ns: i64, report: Report) {
+        let place = self.coming.partition_point(|(due_ns, _)| *due_ns <= now_ns);
+        self.coming.insert(place, (now_ns, report));
+    }
+
+    /// What a report means for the arm itself.
+    fn become_so(&mut self, report: Report, now_ns: i64) -> Report {
+        match report {
+            Report::Connected { held_by, .. } => {
+                self.session = self.session.wrapping_add(1).max(1);
+                self.sequence = 0;
+                self.rest(State::Held);
+                return Report::Connected { session: self.session, held_by };
+            }
+            Report::Disconnected { .. } => self.rest(State::Absent),
+            Report::Held { .. } | Report::PositionUnknown => self.rest(State::Held),
+            Report::Alarm { .. } => self.rest(State::Alarmed),
+            Report::ClearOfView => self.not_before_ns = self.not_before_ns.min(now_ns),
+            Report::Ready { .. } => {
+                self.ready = true;
+                self.not_before_ns = self.not_before_ns.min(now_ns);
+            }
+            Report::Moving { .. } => self.not_before_ns = i64::MAX,
+            Report::Done { id } => self.end(id, Outcome::Done, now_ns),
+            Report::Failed { id, .. } => self.end(id, Outcome::Failed, now_ns),
+            Report::Refused { id, .. } => self.end(id, Outcome::Refused, now_ns),
+            Report::Lost { id } => self.end(id, Outcome::Unknown, now_ns),
+            _ => {}
+        }
+        report
+    }
+
+    fn rest(&mut self, state: State) {
+        self.state = state;
+        self.ready = false;
+        self.not_before_ns = i64::MAX;
+    }
+
+    fn end(&mut self, id: u64, outcome: Outcome, now_ns: i64) {
+        self.unfinished = None;
+        self.last = Some((id, outcome));
+        if self.not_before_ns != i64::MAX {
+            // No picture from before the end counts, however early the arm was out of the view.
+            self.not_before_ns = now_ns;
+        }
+    }
+}
