@@ -8,14 +8,20 @@
 //! nothing after `new`. Others (progressive, odd sampling) go to zune-jpeg, which allocates in every picture.
 
 mod baseline;
+mod bits;
+mod block;
 mod huffman;
 mod idct;
 mod planes;
+mod rows;
 mod tables;
+#[cfg(test)]
+mod written;
 
 use crate::frame::{Frame, PixelFormat};
 use crate::vision::level::Level;
 use baseline::{Baseline, Fault};
+use idct::Kernel;
 use zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions};
 use zune_jpeg::JpegDecoder;
 
@@ -151,31 +157,51 @@ fn decode(
     baseline: &mut Baseline,
     jpeg: &[u8],
     output: Output,
-    out: &mut [u8],
+    out: &mut Vec<u8>,
 ) -> Result<(), Fault> {
     match level {
         #[cfg(target_arch = "x86_64")]
         // SAFETY: `with_level` takes no level above what `Level::detect` found on this machine.
-        Level::Avx2 | Level::Avx512 => unsafe { decode_avx2(baseline, jpeg, output, out) },
-        _ => decode_anywhere(baseline, jpeg, output, out),
+        Level::Avx512 => unsafe { decode_avx512(baseline, jpeg, output, out) },
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: as above.
+        Level::Avx2 => unsafe { decode_avx2(baseline, jpeg, output, out) },
+        _ => decode_anywhere(idct::Plain, baseline, jpeg, output, out),
     }
+}
+
+/// [`decode_anywhere`] compiled for AVX-512.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,bmi1,bmi2,avx512f,avx512bw,avx512dq,avx512vl")]
+fn decode_avx512(
+    baseline: &mut Baseline,
+    jpeg: &[u8],
+    output: Output,
+    out: &mut Vec<u8>,
+) -> Result<(), Fault> {
+    // SAFETY: this function's own condition.
+    let kernel = unsafe { idct::Avx512::new() };
+    decode_anywhere(kernel, baseline, jpeg, output, out)
 }
 
 /// [`decode_anywhere`] compiled for AVX2.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,bmi1,bmi2")]
-fn decode_avx2(baseline: &mut Baseline, jpeg: &[u8], output: Output, out: &mut [u8]) -> Result<(), Fault> {
-    decode_anywhere(baseline, jpeg, output, out)
+fn decode_avx2(baseline: &mut Baseline, jpeg: &[u8], output: Output, out: &mut Vec<u8>) -> Result<(), Fault> {
+    // SAFETY: this function's own condition.
+    let kernel = unsafe { idct::Avx2::new() };
+    decode_anywhere(kernel, baseline, jpeg, output, out)
 }
 
 #[inline(always)]
 fn decode_anywhere(
+    kernel: impl Kernel,
     baseline: &mut Baseline,
     jpeg: &[u8],
     output: Output,
-    out: &mut [u8],
+    out: &mut Vec<u8>,
 ) -> Result<(), Fault> {
-    baseline.read(jpeg, output == Output::Grey)?;
+    baseline.read(kernel, jpeg, output == Output::Grey)?;
     match output {
         Output::Rgb => baseline.write_rgb(out),
         Output::Grey => baseline.write_luma(out),

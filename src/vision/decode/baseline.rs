@@ -1,9 +1,13 @@
 //! Baseline JPEG as webcams send it, decoded without allocating: one scan, 8 bits, Y alone or with Cb and Cr at
 //! whole or half size (ITU-T T.81). All else is [`Fault::Unsupported`].
 
-use super::huffman::{Bits, Huffman, read_block, zigzag};
+use super::bits::{Bits, Data, Room};
+use super::block::zigzag;
+use super::huffman::{Class, Huffman};
+use super::idct::Kernel;
+use super::rows::Rows;
 use super::tables::STANDARD_TABLES;
-use super::{idct, planes};
+use super::{block, idct, planes};
 
 /// Why a picture was not decoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,7 +30,6 @@ struct Component {
     quantization: usize,
     dc: usize,
     ac: usize,
-    last_dc: i32,
 }
 
 /// All memory for pictures of one size.
@@ -45,6 +48,8 @@ pub(super) struct Baseline {
     components: [Component; 3],
     count: usize,
     restart_interval: usize,
+    room: Room,
+    rows: [Rows; 3],
     mixed: Vec<u16>,
     wide: [Vec<u8>; 2],
 }
@@ -65,6 +70,9 @@ impl Baseline {
             components: [Component::default(); 3],
             count: 0,
             restart_interval: 0,
+            // With three components at most six in a unit of 16 pixels.
+            room: Room::new(w / 16 * 6),
+            rows: [w / 8 * 2, w / 8, w / 8].map(Rows::new),
             mixed: vec![0; w / 2 + 2],
             wide: [vec![0; w], vec![0; w]],
         };
@@ -76,7 +84,7 @@ impl Baseline {
 
     /// Reads a whole picture to Y, Cb and Cr samples; only to Y where `luma_only`.
     #[inline(always)]
-    pub(super) fn read(&mut self, jpeg: &[u8], luma_only: bool) -> Result<(), Fault> {
+    pub(super) fn read(&mut self, kernel: impl Kernel, jpeg: &[u8], luma_only: bool) -> Result<(), Fault> {
         self.own = [false; 4];
         self.restart_interval = 0;
         self.count = 0;
@@ -108,7 +116,10 @@ impl Baseline {
                 0xee if segment.starts_with(b"Adobe") => return Err(Fault::Unsupported),
                 0xda => {
                     self.read_scan_header(segment)?;
-                    return self.read_scan(&jpeg[at..], luma_only);
+                    return match luma_only {
+                        true => self.read_scan::<true>(kernel, &jpeg[at..]),
+                        false => self.read_scan::<false>(kernel, &jpeg[at..]),
+                    };
                 }
                 _ => {}
             }
@@ -128,14 +139,14 @@ impl Baseline {
                 let (symbols, rest) =
                     rest.split_at_checked(symbols).filter(|s| s.0.len() <= 256).ok_or(BAD)?;
                 tables = rest;
-                let place = match kind {
-                    0x00 => 0,
-                    0x10 => 1,
-                    0x01 => 2,
-                    0x11 => 3,
+                let (place, class) = match kind {
+                    0x00 => (0, Class::Dc),
+                    0x10 => (1, Class::Ac),
+                    0x01 => (2, Class::Dc),
+                    0x11 => (3, Class::Ac),
                     _ => return Err(Fault::Unsupported),
                 };
-                self.tables[place].read(counts, symbols)?;
+                self.tables[place].read(class, counts, symbols)?;
                 self.own[place] = true;
             }
         }
@@ -219,52 +230,71 @@ impl Baseline {
     }
 
     #[inline(always)]
-    fn read_scan(&mut self, data: &[u8], luma_only: bool) -> Result<(), Fault> {
+    fn read_scan<const LUMA_ONLY: bool>(&mut self, kernel: impl Kernel, data: &[u8]) -> Result<(), Fault> {
         let (across, down) = (self.components[0].across, self.components[0].down);
         let (units, unit_rows) = (self.width.div_ceil(8 * across), self.height.div_ceil(8 * down));
         self.strides = std::array::from_fn(|c| units * 8 * self.components[c].across);
-        let mut bits = Bits::new(data);
-        let mut block = [0.0; 64];
-        for unit in 0..units * unit_rows {
-            if self.restart_interval != 0 && unit != 0 && unit % self.restart_interval == 0 {
-                bits.restart()?;
-                self.components.iter_mut().for_each(|c| c.last_dc = 0);
-            }
-            let (ux, uy) = (unit % units, unit / units);
-            for c in 0..self.count {
-                let component = &mut self.components[c];
-                let table =
-                    |place: usize| if self.own[place] { &self.tables[place] } else { &self.standard[place] };
-                let (dc, ac) = (table(component.dc), table(component.ac));
-                let scale = &self.scales[component.quantization];
-                let stride = self.strides[c];
-                for b in 0..component.across * component.down {
-                    let (x, y) = (
-                        ux * component.across + b % component.across,
-                        uy * component.down + b / component.across,
-                    );
-                    let last = read_block(&mut bits, dc, ac, scale, &mut component.last_dc, &mut block)?;
-                    if c == 0 || !luma_only {
-                        let out = &mut self.samples[c][8 * (y * stride + x)..];
-                        match last {
-                            0 => idct::flat(block[0], out, stride),
-                            _ => idct::transform(&block, out, stride),
-                        }
+        let blocks = self.components[..self.count].iter().map(|c| c.across * c.down).sum::<usize>();
+        let mut data = Data::new(data, &mut self.room, units * blocks);
+        let mut bits = Bits::new(&data);
+        let tables = self.components.map(|component| {
+            let table =
+                |place: usize| if self.own[place] { &self.tables[place] } else { &self.standard[place] };
+            (table(component.dc), table(component.ac))
+        });
+        let scales = self.components.map(|component| &self.scales[component.quantization]);
+        let mut last_dc = [0i32; 3];
+        self.rows.iter_mut().for_each(Rows::clear);
+        let mut until_restart = self.restart_interval;
+        for uy in 0..unit_rows {
+            data.ready(&mut bits);
+            for ux in 0..units {
+                if self.restart_interval != 0 {
+                    if until_restart == 0 {
+                        data.restart(&mut bits)?;
+                        last_dc = [0; 3];
+                        until_restart = self.restart_interval;
                     }
-                    if last != 0 {
-                        block = [0.0; 64];
+                    until_restart -= 1;
+                }
+                for c in 0..self.count {
+                    if LUMA_ONLY && c != 0 {
+                        block::skip(&mut bits, data.bytes(), tables[c])?;
+                        continue;
+                    }
+                    let (across, down) = if c == 0 { (across, down) } else { (1, 1) };
+                    for by in 0..down {
+                        for bx in 0..across {
+                            let i = (by * units + ux) * across + bx;
+                            let block = &mut self.rows[c].blocks[i];
+                            let (difference, last) = block::read(&mut bits, data.bytes(), tables[c], block)?;
+                            last_dc[c] = last_dc[c].wrapping_add(difference);
+                            self.rows[c].set(i, last_dc[c] as f32 * scales[c][0], last != 0);
+                        }
                     }
                 }
             }
-            if ux + 1 == units {
-                bits.check()?;
+            data.check(&bits)?;
+            let wanted = if LUMA_ONLY { 1 } else { self.count };
+            for (c, scales) in scales.into_iter().enumerate().take(wanted) {
+                let (across, down) = if c == 0 { (across, down) } else { (1, 1) };
+                let (columns, stride) = (units * across, self.strides[c]);
+                for by in 0..down {
+                    let out = &mut self.samples[c][8 * (uy * down + by) * stride..];
+                    self.rows[c].transform(kernel, (by * columns, columns), scales, out, stride);
+                }
             }
         }
         Ok(())
     }
 
-    /// Writes the luma of the picture that was read.
-    pub(super) fn write_luma(&self, out: &mut [u8]) {
+    /// Writes the luma of the picture that was read; where the samples are nothing else, they are given away for the
+    /// old ones.
+    pub(super) fn write_luma(&mut self, out: &mut Vec<u8>) {
+        if self.strides[0] == self.width && self.samples[0].len() == out.len() {
+            std::mem::swap(&mut self.samples[0], out);
+            return;
+        }
         for (out, y) in out.chunks_exact_mut(self.width).zip(self.samples[0].chunks(self.strides[0])) {
             out.copy_from_slice(&y[..self.width]);
         }

@@ -1,45 +1,171 @@
-//! Entropy-coded data of a baseline JPEG: bits, Huffman tables, coefficients (ITU-T T.81, annex F.2).
+//! Huffman tables of a baseline JPEG (ITU-T T.81, annexes C and F.2): one look tells what comes next.
 
 use super::baseline::Fault;
 
 /// Codes up to this length are looked up at once.
-const FAST_BITS: u32 = 10;
+const FAST_BITS: u32 = 11;
 
-const TOO_MANY: Fault = Fault::Damaged("more than 64 coefficients in a block");
+/// Length of an [`Entry`]: of the 57 bits that a refill gives, two of them (or two pairs) leave enough for another
+/// look.
+const LENGTH_MAX: u32 = (57 - FAST_BITS) / 2;
 
-/// Place in the block of the k-th coefficient (T.81, figure A.6); blocks are stored column by column.
-const ZIGZAG: [u8; 64] = {
-    let mut order = [0; 64];
-    let (mut k, mut diagonal) = (0, 0);
-    while diagonal < 15 {
-        let mut step = 0;
-        while step <= diagonal {
-            // Odd diagonals run down, even ones up.
-            let (x, y) = if diagonal % 2 == 1 { (diagonal - step, step) } else { (step, diagonal - step) };
-            if x < 8 && y < 8 {
-                order[k] = (8 * x + y) as u8;
-                k += 1;
-            }
-            step += 1;
-        }
-        diagonal += 1;
+/// Step of an [`Entry`] at the end of a block: beyond it.
+const END: u32 = 64;
+/// Step of an [`Entry`] that does not tell: a long code, none, or one that is not a coefficient.
+const RARE: u32 = 255;
+
+/// What a table is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Class {
+    /// Differences of first coefficients; a symbol is a size.
+    Dc,
+    /// Other coefficients; a symbol is a run of zeros and a size.
+    Ac,
+}
+
+/// What the next bits mean: from the low end a byte each for the length of code and coefficient, the step from the
+/// coefficient before, the length of the code, and 63 less the size of the coefficient.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Entry(u32);
+
+impl Entry {
+    const UNKNOWN: Self = Self(RARE << 8);
+
+    fn new(class: Class, symbol: u8, length: u32) -> Self {
+        let (run, size) = (u32::from(symbol >> 4), u32::from(symbol & 15));
+        let step = match (class, run, size) {
+            _ if length + size > LENGTH_MAX => return Self::UNKNOWN,
+            (Class::Dc, 0, _) => 0,
+            (Class::Ac, 0..15, 0) => END,
+            (Class::Dc, ..) | (Class::Ac, _, 0) => return Self::UNKNOWN,
+            (Class::Ac, ..) => run + 1,
+        };
+        Self((63 - size) << 24 | length << 16 | step << 8 | (length + size))
     }
-    order
+
+    /// Length of code and coefficient.
+    #[inline(always)]
+    pub(super) fn length(self) -> u32 {
+        self.0 & 255
+    }
+
+    /// `window` without them. The shift takes the low bits by itself, one step less to the next look.
+    #[inline(always)]
+    pub(super) fn behind(self, window: u64) -> u64 {
+        window << (self.0 & 63)
+    }
+
+    /// How many coefficients farther this one is; more than 63 for the end of the block or what is to be looked up
+    /// with [`Huffman::symbol`].
+    fn step(self) -> usize {
+        (self.0 >> 8 & 255) as usize
+    }
+
+    /// Whether it is no coefficient of this block.
+    fn is_beyond(self) -> bool {
+        self.step() >= END as usize
+    }
+
+    fn code_length(self) -> u32 {
+        self.0 >> 16 & 255
+    }
+
+    #[inline(always)]
+    pub(super) fn is_rare(self) -> bool {
+        self.step() == RARE as usize
+    }
+
+    /// The coefficient or difference, which may have no bits, that stands at the top of `window` behind its code.
+    #[inline(always)]
+    pub(super) fn value(self, window: u64) -> i32 {
+        signed(window << (self.0 >> 16 & 63), self.0 >> 24)
+    }
+}
+
+/// Two coefficients that the next bits mean, or one twice; from the low end a byte each for the length of both, step,
+/// begin and 63 less the size of the first, the same of the second.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Pair(u64);
+
+impl Pair {
+    /// Of an entry and the one behind it, where that one is known.
+    fn new(first: Entry, second: Option<Entry>) -> Self {
+        let [length, step, begin, beyond] = first.0.to_le_bytes();
+        Self(u64::from_le_bytes(match second.map(|second| second.0.to_le_bytes()) {
+            Some([length2, step2, begin2, beyond2]) => {
+                [length + length2, step, begin, beyond, step2, length + begin2, beyond2, 0]
+            }
+            None => [length, step, begin, beyond, 0, begin, beyond, 0],
+        }))
+    }
+
+    /// Steps to the first and on to the second, see [`Entry::step`].
+    #[inline(always)]
+    pub(super) fn steps(self) -> (usize, usize) {
+        ((self.0 >> 8 & 255) as usize, (self.0 >> 32 & 255) as usize)
+    }
+
+    #[inline(always)]
+    pub(super) fn is_end(self) -> bool {
+        self.steps().0 == END as usize
+    }
+
+    /// Length of both.
+    #[inline(always)]
+    pub(super) fn length(self) -> u32 {
+        self.0 as u32 & 255
+    }
+
+    /// `window` without them. The shift takes the low bits by itself, one step less to the next look.
+    #[inline(always)]
+    pub(super) fn behind(self, window: u64) -> u64 {
+        window << (self.0 & 63)
+    }
+
+    /// The coefficients.
+    #[inline(always)]
+    pub(super) fn values(self, window: u64) -> (i32, i32) {
+        let value = |at: u32| coefficient(window << (self.0 >> at & 63), (self.0 >> (at + 8)) as u32 & 255);
+        (value(16), value(40))
+    }
+}
+
+/// What to add to a coefficient with a 0 at its beginning: 1 less 2 to the power of its size, by 63 less the size.
+const NEGATIVE: [i32; 64] = {
+    let mut all = [0; 64];
+    let mut size = 1;
+    while size < 16 {
+        all[63 - size] = 1 - (1 << size);
+        size += 1;
+    }
+    all
 };
 
-/// Where the k-th coefficient of a table stands.
-pub(super) fn zigzag(k: usize) -> usize {
-    usize::from(ZIGZAG[k])
+/// [`signed`] of one or more bits.
+#[inline(always)]
+fn coefficient(bits: u64, beyond: u32) -> i32 {
+    let positive = ((bits as i64) >> 63) as i32;
+    (bits >> ((beyond + 1) & 63)) as i32 + (NEGATIVE[beyond as usize & 63] & !positive)
+}
+
+/// A difference or coefficient at the top of `bits`, of 63 - `beyond` of them (T.81, figure F.12): where its first
+/// bit is 0 the others are those of its negative, inverted.
+#[inline(always)]
+pub(super) fn signed(bits: u64, beyond: u32) -> i32 {
+    let negative = !((bits as i64) >> 63);
+    let magnitude = ((bits ^ negative as u64) >> 1 >> (beyond & 63)) as i32;
+    (magnitude ^ negative as i32) - negative as i32
 }
 
 /// One Huffman table.
 #[derive(Clone, Debug)]
 pub(super) struct Huffman {
-    /// By the next bits: length of the code times 256 plus its symbol; 0 where it is longer.
-    fast: Box<[u16; 1 << FAST_BITS]>,
-    /// By the next bits, where code and coefficient are in them: its value, the run of zeros before it (8 bits) and
-    /// the length of both (8 bits); else 0.
-    quick: Box<[i32; 1 << FAST_BITS]>,
+    /// By the next bits.
+    entries: Box<[Entry; 1 << FAST_BITS]>,
+    /// By the next bits, the same with what comes behind; only of [`Class::Ac`].
+    pairs: Box<[Pair; 1 << FAST_BITS]>,
+    /// What was read, if it was good: number of codes by length.
+    counts: Option<[u8; 16]>,
     /// By length: beyond the last code of it, as if all codes had 16 bits.
     beyond: [u32; 17],
     /// By length: add to a code for the place of its symbol.
@@ -50,27 +176,33 @@ pub(super) struct Huffman {
 impl Huffman {
     /// A table without codes.
     pub(super) fn empty() -> Self {
-        let (fast, quick) = (Box::new([0; 1 << FAST_BITS]), Box::new([0; 1 << FAST_BITS]));
-        Self { fast, quick, beyond: [0; 17], offset: [0; 17], symbols: [0; 256] }
+        let entries = Box::new([Entry::UNKNOWN; 1 << FAST_BITS]);
+        let pairs = Box::new([Pair::new(Entry::UNKNOWN, None); 1 << FAST_BITS]);
+        Self { entries, pairs, counts: None, beyond: [0; 17], offset: [0; 17], symbols: [0; 256] }
     }
 
     /// Reads a table from number of codes by length (16 bytes) and symbols (T.81, annex C).
-    pub(super) fn read(&mut self, counts: &[u8; 16], symbols: &[u8]) -> Result<(), Fault> {
-        self.fast.fill(0);
+    pub(super) fn read(&mut self, class: Class, counts: &[u8; 16], symbols: &[u8]) -> Result<(), Fault> {
+        if self.counts == Some(*counts) && self.symbols[..symbols.len()] == *symbols {
+            // Pictures of a camera have the same tables.
+            return Ok(());
+        }
+        self.counts = None;
+        self.entries.fill(Entry::UNKNOWN);
         self.symbols.fill(0);
         self.symbols[..symbols.len()].copy_from_slice(symbols);
         let (mut code, mut first) = (0u32, 0usize);
         for length in 1..=16u32 {
             let count = usize::from(counts[length as usize - 1]);
             self.offset[length as usize] = first as i32 - code as i32;
-            for symbol in &symbols[first..first + count] {
+            for &symbol in &symbols[first..first + count] {
                 if code >= 1 << length {
                     return Err(Fault::Damaged("Huffman table with more codes than there can be"));
                 }
                 if length <= FAST_BITS {
                     let begin = (code << (FAST_BITS - length)) as usize;
-                    let entry = (length as u16) << 8 | u16::from(*symbol);
-                    self.fast[begin..begin + (1 << (FAST_BITS - length))].fill(entry);
+                    self.entries[begin..begin + (1 << (FAST_BITS - length))]
+                        .fill(Entry::new(class, symbol, length));
                 }
                 code += 1;
             }
@@ -78,220 +210,143 @@ impl Huffman {
             first += count;
             code <<= 1;
         }
-        for (next, (quick, &entry)) in self.quick.iter_mut().zip(self.fast.iter()).enumerate() {
-            let (length, run, size) =
-                (u32::from(entry >> 8), i32::from(entry >> 4 & 15), u32::from(entry & 15));
-            let fits = entry != 0 && size != 0 && length + size <= FAST_BITS;
-            *quick = if fits {
-                let value = (next >> (FAST_BITS - length - size)) as i32 & ((1 << size) - 1);
-                signed(value, size) << 16 | run << 8 | (length + size) as i32
-            } else {
-                0
-            };
+        if class == Class::Ac {
+            self.join();
         }
+        self.counts = Some(*counts);
         Ok(())
     }
 
-    /// The next symbol.
-    #[inline(always)]
-    fn symbol(&self, bits: &mut Bits<'_>) -> Result<u8, Fault> {
-        let entry = self.fast[bits.peek(FAST_BITS) as usize];
-        if entry != 0 {
-            bits.skip(u32::from(entry >> 8));
-            return Ok(entry as u8);
+    /// Makes the pairs from the entries.
+    fn join(&mut self) {
+        for (next, (pair, &first)) in self.pairs.iter_mut().zip(self.entries.iter()).enumerate() {
+            let known = FAST_BITS.saturating_sub(first.length());
+            let second = self.entries[next << (FAST_BITS - known) & ((1 << FAST_BITS) - 1)];
+            let fits = !first.is_beyond()
+                && !second.is_beyond()
+                && second.code_length() <= known
+                && first.length() + second.length() <= LENGTH_MAX;
+            *pair = Pair::new(first, fits.then_some(second));
         }
-        let next = bits.peek(16);
-        for length in FAST_BITS + 1..=16 {
+    }
+
+    /// What stands at the top of `window`.
+    #[inline(always)]
+    pub(super) fn look(&self, window: u64) -> Entry {
+        self.entries[(window >> (64 - FAST_BITS)) as usize]
+    }
+
+    /// The coefficients at the top of `window`.
+    #[inline(always)]
+    pub(super) fn look_twice(&self, window: u64) -> Pair {
+        self.pairs[(window >> (64 - FAST_BITS)) as usize]
+    }
+
+    /// The symbol at the top of `window` and the length of its code, whatever they are.
+    pub(super) fn symbol(&self, window: u64) -> Result<(u8, u32), Fault> {
+        let next = (window >> 48) as u32;
+        for length in 1..=16 {
             if next < self.beyond[length as usize] {
-                bits.skip(length);
                 let place = (next >> (16 - length)) as i32 + self.offset[length as usize];
-                return self.symbols.get(place as usize).copied().ok_or(Fault::Damaged("bad Huffman code"));
+                let symbol = self.symbols.get(place as usize).ok_or(Fault::Damaged("bad Huffman code"))?;
+                return Ok((*symbol, length));
             }
         }
         Err(Fault::Damaged("bad Huffman code"))
     }
 }
 
-/// A difference or coefficient of `size` bits (T.81, figure F.12).
-#[inline(always)]
-fn signed(value: i32, size: u32) -> i32 {
-    if value < (1 << size) >> 1 { value - (1 << size) + 1 } else { value }
-}
-
-/// The bits of a scan, without stuffing; beyond its end zeros.
-pub(super) struct Bits<'a> {
-    data: &'a [u8],
-    at: usize,
-    /// The next bits, from the top.
-    buffer: u64,
-    count: u32,
-    /// How many bits at the end of the buffer are made up.
-    made_up: u32,
-}
-
-impl<'a> Bits<'a> {
-    pub(super) fn new(data: &'a [u8]) -> Self {
-        Self { data, at: 0, buffer: 0, count: 0, made_up: 0 }
-    }
-
-    /// Makes sure of at least 48 bits.
-    #[inline(always)]
-    fn refill(&mut self) {
-        if self.count >= 48 {
-            return;
-        }
-        if let Some(bytes) = self.data.get(self.at..).and_then(|rest| rest.first_chunk()) {
-            let next = u64::from_be_bytes(*bytes);
-            // Whether a byte is 0xff: a zero byte of the complement.
-            if (!next).wrapping_sub(0x0101_0101_0101_0101) & next & 0x8080_8080_8080_8080 == 0 {
-                let taken = (64 - self.count) / 8;
-                self.buffer |= next >> (64 - 8 * taken) << (64 - 8 * taken - self.count);
-                self.count += 8 * taken;
-                self.at += taken as usize;
-                return;
-            }
-        }
-        self.refill_slowly();
-    }
-
-    #[cold]
-    fn refill_slowly(&mut self) {
-        while self.count <= 56 {
-            let byte = match (self.data.get(self.at), self.data.get(self.at + 1)) {
-                (Some(0xff), Some(0)) => {
-                    self.at += 2;
-                    0xff
-                }
-                (Some(0xff), _) | (None, _) => {
-                    self.made_up += 8;
-                    0
-                }
-                (Some(&byte), _) => {
-                    self.at += 1;
-                    byte
-                }
-            };
-            self.buffer |= u64::from(byte) << (56 - self.count);
-            self.count += 8;
-        }
-    }
-
-    #[inline(always)]
-    fn peek(&self, bits: u32) -> u32 {
-        (self.buffer >> (64 - bits)) as u32
-    }
-
-    #[inline(always)]
-    fn skip(&mut self, bits: u32) {
-        self.buffer <<= bits;
-        self.count = self.count.wrapping_sub(bits);
-    }
-
-    /// The next `size` bits as a difference (T.81, F.2.2.1).
-    #[inline(always)]
-    fn difference(&mut self, size: u32) -> i32 {
-        // Two shifts, for a size of 0.
-        let value = (self.buffer >> 1 >> (63 - size)) as i32;
-        self.skip(size);
-        signed(value, size)
-    }
-
-    /// Fails where bits beyond the end were used.
-    pub(super) fn check(&self) -> Result<(), Fault> {
-        if self.count < self.made_up { Err(Fault::Damaged("picture data end too early")) } else { Ok(()) }
-    }
-
-    /// Goes on behind the restart marker that must come now.
-    pub(super) fn restart(&mut self) -> Result<(), Fault> {
-        self.check()?;
-        let rest = self.data.get(self.at..).unwrap_or_default();
-        let fill = rest.iter().take_while(|&&byte| byte == 0xff).count();
-        if fill == 0 || !matches!(rest.get(fill), Some(0xd0..=0xd7)) {
-            return Err(Fault::Damaged("a restart marker is missing"));
-        }
-        self.at += fill + 1;
-        (self.buffer, self.count, self.made_up) = (0, 0, 0);
-        Ok(())
-    }
-}
-
-/// Reads a block into `block` (all zeros before), each coefficient times its `scale`; the place of the last one that
-/// is not 0, in zigzag order.
-#[inline(always)]
-pub(super) fn read_block(
-    bits: &mut Bits<'_>,
-    dc: &Huffman,
-    ac: &Huffman,
-    scale: &[f32; 64],
-    last_dc: &mut i32,
-    block: &mut [f32; 64],
-) -> Result<usize, Fault> {
-    bits.refill();
-    let size = dc.symbol(bits)?;
-    if size > 15 {
-        return Err(Fault::Damaged("bad size of a coefficient"));
-    }
-    *last_dc = last_dc.wrapping_add(bits.difference(u32::from(size)));
-    block[0] = *last_dc as f32 * scale[0];
-    let (mut k, mut last) = (1, 0);
-    while k < 64 {
-        bits.refill();
-        let quick = ac.quick[bits.peek(FAST_BITS) as usize];
-        if quick != 0 {
-            k += (quick >> 8 & 15) as usize;
-            if k > 63 {
-                return Err(TOO_MANY);
-            }
-            bits.skip((quick & 255) as u32);
-            let place = zigzag(k) & 63;
-            block[place] = (quick >> 16) as f32 * scale[place];
-            last = k;
-            k += 1;
-            continue;
-        }
-        let symbol = ac.symbol(bits)?;
-        let (run, size) = (usize::from(symbol >> 4), u32::from(symbol & 15));
-        if size == 0 {
-            if run < 15 {
-                break;
-            }
-            k += 16;
-            continue;
-        }
-        k += run;
-        if k > 63 {
-            return Err(TOO_MANY);
-        }
-        let place = zigzag(k) & 63;
-        block[place] = bits.difference(size) as f32 * scale[place];
-        last = k;
-        k += 1;
-    }
-    Ok(last)
-}
-
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
+    use proptest::prelude::*;
 
-    #[test]
-    fn coefficients_run_along_the_diagonals() {
-        let begin: Vec<usize> = (0..10).map(zigzag).collect();
-        assert_eq!(begin, [0, 8, 1, 2, 9, 16, 24, 17, 10, 3]);
-        let mut all: Vec<usize> = (0..64).map(zigzag).collect();
-        assert_eq!(all[63], 63);
-        all.sort_unstable();
-        assert_eq!(all, (0..64).collect::<Vec<_>>());
+    /// Numbers of codes by length from any numbers: at most `few` of a length, and seldom room left for more.
+    pub(in super::super) fn counts(choices: [u8; 16], few: u8) -> [u8; 16] {
+        let mut free = 1u32;
+        choices.map(|choice| {
+            free = 2 * free.min(1000);
+            let count = (u32::from(choice) % u32::from(few + 1)).min(free);
+            free -= count;
+            count as u8
+        })
     }
 
     #[test]
-    fn bits_lose_their_stuffing_and_end_in_zeros() {
-        let mut bits = Bits::new(&[0xff, 0, 0x81, 0xff, 0xd9]);
-        bits.refill();
-        assert_eq!(bits.peek(24), 0xff_81_00);
-        bits.skip(16);
-        assert_eq!(bits.check(), Ok(()));
-        bits.skip(1);
-        assert!(bits.check().is_err());
+    fn values_are_those_of_the_standard() {
+        // T.81, table F.1: sizes 0 to 3.
+        let value = |bits: u64, size: u32| signed(if size == 0 { 0 } else { bits << (64 - size) }, 63 - size);
+        assert_eq!(value(0, 0), 0);
+        assert_eq!([0, 1].map(|bits| value(bits, 1)), [-1, 1]);
+        assert_eq!([0, 1, 2, 3].map(|bits| value(bits, 2)), [-3, -2, 2, 3]);
+        assert_eq!([0, 3, 4, 7].map(|bits| value(bits, 3)), [-7, -4, 4, 7]);
+        assert_eq!([0, 0x7fff].map(|bits| value(bits, 15)), [-32767, 32767]);
+    }
+
+    proptest! {
+        #[test]
+        fn a_look_finds_what_the_search_finds(
+            choices in proptest::array::uniform16(any::<u8>()), few in 1u8..9,
+            symbols in proptest::collection::vec(any::<u8>(), 128),
+            window in any::<u64>(), class in prop_oneof![Just(Class::Dc), Just(Class::Ac)],
+        ) {
+            let counts = counts(choices, few);
+            let symbols = &symbols[..counts.iter().map(|&n| usize::from(n)).sum()];
+            let mut table = Huffman::empty();
+            prop_assert_eq!(table.read(class, &counts, symbols), Ok(()));
+            let entry = table.look(window);
+            match table.symbol(window) {
+                Ok((symbol, length)) if !entry.is_rare() => {
+                    prop_assert!(length <= FAST_BITS);
+                    let (run, size) = (usize::from(symbol >> 4), u32::from(symbol & 15));
+                    prop_assert_eq!(entry.length(), length + size);
+                    prop_assert_eq!(entry.behind(window), window << (length + size));
+                    prop_assert_eq!(entry.value(window), signed(window << length, 63 - size));
+                    match class {
+                        Class::Dc => prop_assert!(symbol < 16 && entry.step() == 0),
+                        Class::Ac if size == 0 => prop_assert!(run < 15 && entry.step() == END as usize),
+                        Class::Ac => prop_assert_eq!(entry.step(), run + 1),
+                    }
+                }
+                Ok((symbol, length)) => {
+                    let of_class = match class {
+                        Class::Dc => symbol > 15,
+                        Class::Ac => symbol == 0xf0,
+                    };
+                    let long = length > FAST_BITS || length + u32::from(symbol & 15) > LENGTH_MAX;
+                    prop_assert!(long || of_class);
+                }
+                Err(_) => prop_assert!(entry.is_rare()),
+            }
+        }
+
+        #[test]
+        fn a_pair_is_one_entry_or_two(
+            choices in proptest::array::uniform16(any::<u8>()), few in 1u8..9,
+            symbols in proptest::collection::vec(any::<u8>(), 128),
+            window in any::<u64>(),
+        ) {
+            let counts = counts(choices, few);
+            let symbols = &symbols[..counts.iter().map(|&n| usize::from(n)).sum()];
+            let mut table = Huffman::empty();
+            prop_assert_eq!(table.read(Class::Ac, &counts, symbols), Ok(()));
+            let (first, pair) = (table.look(window), table.look_twice(window));
+            prop_assert_eq!(pair.is_end(), first.step() == END as usize);
+            prop_assert_eq!(pair.steps().0, first.step());
+            prop_assert!(pair.length() <= LENGTH_MAX);
+            let second = table.look(first.behind(window));
+            let (last, step) = match pair.steps().1 {
+                0 => (first, first.step()),
+                step => (second, first.step() + step),
+            };
+            if first.is_beyond() {
+                return Ok(());
+            }
+            let length = if step == first.step() { first.length() } else { first.length() + second.length() };
+            prop_assert_eq!((pair.length(), pair.behind(window)), (length, window << length));
+            prop_assert_eq!(pair.values(window).0, first.value(window));
+            prop_assert_eq!(pair.values(window).1, last.value(window << (length - last.length())));
+            prop_assert_eq!(step, first.step() + if length == first.length() { 0 } else { second.step() });
+        }
     }
 }

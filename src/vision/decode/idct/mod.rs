@@ -1,6 +1,14 @@
 //! The inverse cosine transform of a block in the scaled form of Arai, Agui and Nakajima (Trans. IEICE E71, 1988),
 //! as eight columns at a time; the scale goes into the quantization table.
 
+#[cfg(target_arch = "x86_64")]
+mod avx2;
+#[cfg(target_arch = "x86_64")]
+mod avx512;
+
+#[cfg(target_arch = "x86_64")]
+pub(super) use {avx2::Avx2, avx512::Avx512};
+
 /// Scale factors of the form, by row and by column.
 const SCALE: [f64; 8] =
     [1.0, 1.387039845, 1.306562965, 1.175875602, 1.0, 0.785694958, 0.541196100, 0.275899379];
@@ -67,9 +75,49 @@ fn columns(r: [Row; 8]) -> [Row; 8] {
     ]
 }
 
-/// Scaled coefficients, stored column by column, to 8x8 samples, which go to `out` in rows `stride` apart.
+/// The transform as some instructions do it; all give the same bits.
+pub(super) trait Kernel: Copy {
+    /// Coefficients, stored column by column, times their `scales`, to 8x8 samples, which go to `out` in rows
+    /// `stride` apart. The first coefficient is `first`, which has its scale already; `block` has 0 there and is all
+    /// zeros afterwards.
+    fn transform(self, first: f32, block: &mut [i16; 64], scales: &[f32; 64], out: &mut [u8], stride: usize);
+
+    /// The same of two blocks beside each other.
+    #[inline(always)]
+    fn transform_two(
+        self,
+        firsts: [f32; 2],
+        blocks: &mut [[i16; 64]; 2],
+        scales: &[f32; 64],
+        out: &mut [u8],
+        stride: usize,
+    ) {
+        for (i, (first, block)) in firsts.into_iter().zip(blocks).enumerate() {
+            self.transform(first, block, scales, &mut out[8 * i..], stride);
+        }
+    }
+}
+
+/// The kernel of every machine, and the twin of the others.
+#[derive(Clone, Copy)]
+pub(super) struct Plain;
+
+impl Kernel for Plain {
+    #[inline(always)]
+    fn transform(self, first: f32, block: &mut [i16; 64], scales: &[f32; 64], out: &mut [u8], stride: usize) {
+        let mut scaled = [0.0; 64];
+        for (to, (&level, scale)) in scaled.iter_mut().zip(block.iter().zip(scales)) {
+            *to = f32::from(level) * scale;
+        }
+        scaled[0] = first;
+        *block = [0; 64];
+        transform(&scaled, out, stride);
+    }
+}
+
+/// Scaled coefficients to samples.
 #[inline(always)]
-pub(super) fn transform(block: &[f32; 64], out: &mut [u8], stride: usize) {
+fn transform(block: &[f32; 64], out: &mut [u8], stride: usize) {
     let (rows, _) = block.as_chunks::<8>();
     let half = columns([rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6], rows[7]]);
     let mut turned = [[0.0; 8]; 8];
@@ -109,6 +157,58 @@ fn sample(x: f32) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::vision::level::Level;
+    use proptest::prelude::*;
+
+    /// Two blocks for a kernel.
+    struct Task {
+        firsts: [f32; 2],
+        blocks: [[i16; 64]; 2],
+        scales: [f32; 64],
+        stride: usize,
+    }
+
+    impl Task {
+        /// The first block by itself, then both.
+        fn with(&self, kernel: impl Kernel) -> [Vec<u8>; 2] {
+            let (mut one, mut both) = (vec![0; 7 * self.stride + 8], vec![0; 7 * self.stride + 16]);
+            let (mut block, mut blocks) = (self.blocks[0], self.blocks);
+            kernel.transform(self.firsts[0], &mut block, &self.scales, &mut one, self.stride);
+            kernel.transform_two(self.firsts, &mut blocks, &self.scales, &mut both, self.stride);
+            assert_eq!((block, blocks), ([0; 64], [[0; 64]; 2]));
+            [one, both]
+        }
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    proptest! {
+        #[test]
+        fn all_instructions_give_the_same_samples(
+            places in proptest::collection::vec((1usize..64, any::<i16>(), 0u32..16), 0..64),
+            first in -3e9..3e9f32, quiet in 0u32..22, scale in 0.01..300.0f32, stride in 16usize..28,
+        ) {
+            let mut block = [0; 64];
+            for (place, value, less) in places {
+                block[place] = value >> less;
+            }
+            let scales = std::array::from_fn(|place| scale * super::scale(place));
+            let first = first / (1 << quiet) as f32;
+            // The other one: turned, and with another first coefficient.
+            let mut other = block;
+            other[1..].reverse();
+            let task = Task { firsts: [first, 40.0 - first / 2.0], blocks: [block, other], scales, stride };
+            let expected = task.with(Plain);
+            for level in Level::available() {
+                match level {
+                    Level::Plain => {}
+                    // SAFETY: the machine has it.
+                    Level::Avx2 => prop_assert_eq!(&task.with(unsafe { Avx2::new() }), &expected),
+                    // SAFETY: the machine has it.
+                    Level::Avx512 => prop_assert_eq!(&task.with(unsafe { Avx512::new() }), &expected),
+                }
+            }
+        }
+    }
 
     #[test]
     fn a_block_is_the_sum_of_its_cosines() {
