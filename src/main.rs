@@ -5,7 +5,7 @@ use std::io::Write;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand, ValueEnum};
-use pickcell::commands::{accuracy, check, devices, recognize, run};
+use pickcell::commands::{accuracy, check, devices, recognize, run, session};
 
 /// Drives a robot cell: two webcams see thin parts in a bin, the arm gets grasp targets
 #[derive(Parser)]
@@ -28,6 +28,7 @@ enum Command {
     Accuracy(accuracy::Accuracy),
     Devices(devices::DevicesArgs),
     Check(check::CheckArgs),
+    Session(session::SessionArgs),
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -57,6 +58,10 @@ fn main() -> ExitCode {
             Err(e) => fail(cli.log_format, &e, 1),
         },
         Command::Devices(args) => print(&devices::run(&args), 0),
+        Command::Session(args) => match session::run(&args) {
+            Ok(text) => print(&text, 0),
+            Err(e) => fail(cli.log_format, &e, 2),
+        },
         Command::Check(args) => {
             let (text, code) = check::run(&args);
             print(&text, code)

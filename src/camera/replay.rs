@@ -249,7 +249,14 @@ mod tests {
             RecordedPair { name: i.to_string(), after_ns: i64::from(i) * 1_000_000, pictures }
         };
         let pairs = vec![pair(0, true), pair(1, false), pair(2, true)];
-        Session { path: folder.to_owned(), rate_hz: 1000.0, pairs, arm: Vec::new(), broken_at: None }
+        Session {
+            path: folder.to_owned(),
+            rate_hz: 1000.0,
+            pairs,
+            arm: Vec::new(),
+            results: Default::default(),
+            broken_at: None,
+        }
     }
 
     #[test]

@@ -6,3 +6,4 @@ pub mod devices;
 pub mod pictures;
 pub mod recognize;
 pub mod run;
+pub mod session;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use super::{RecordedPair, RecordedPicture, Session};
+use super::{RecordedPair, RecordedPicture, Results, Session};
 use crate::camera::Side;
 
 /// What is wrong with a session folder.
@@ -94,7 +94,14 @@ pub(super) fn open(folder: &Path) -> Result<Session, FolderError> {
         pictures: pictures.map(|picture| picture.map(RecordedPicture::File)),
     };
     let pairs = names.into_iter().enumerate().map(pair).collect();
-    Ok(Session { path: folder.to_owned(), rate_hz, pairs, arm: Vec::new(), broken_at: None })
+    Ok(Session {
+        path: folder.to_owned(),
+        rate_hz,
+        pairs,
+        arm: Vec::new(),
+        results: Results::default(),
+        broken_at: None,
+    })
 }
 
 /// Name without ending → file, of every picture in `folder`.

@@ -16,6 +16,7 @@ mod recording;
 mod records;
 mod writer;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -26,6 +27,7 @@ pub use records::{Damage, MessageAt, MessageError, RecordingError, RecordingFile
 pub use writer::{About, RecordingWriter, WriteError};
 
 use crate::frame::{ColourEncoding, Frame};
+use events::PairRecord;
 use firmware_bridge::link::Said;
 use foxglove::ImageKind;
 
@@ -107,6 +109,43 @@ pub struct RecordedPair {
     pub pictures: [Option<RecordedPicture>; 2],
 }
 
+/// What a recording says about its pairs, added up.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Results {
+    /// Pairs with a result.
+    pub pairs: u64,
+    /// Those whose pictures are not in the recording.
+    pub without_pictures: u64,
+    /// Those that led to a target.
+    pub targets: u64,
+    /// Why others led to none, and how often.
+    pub no_target: BTreeMap<String, u64>,
+    /// Results that came too late.
+    pub deadline_misses: u64,
+    /// Frames missing in the drivers' counts, left and right.
+    pub frames_missing: [u64; 2],
+    last: Option<[u32; 2]>,
+}
+
+impl Results {
+    fn add(&mut self, pair: &PairRecord) {
+        self.pairs += 1;
+        self.without_pictures += u64::from(!pair.pictures);
+        self.targets += u64::from(pair.target.is_some());
+        self.deadline_misses += u64::from(!pair.deadline_kept);
+        if let Some(why) = &pair.no_target {
+            *self.no_target.entry(why.clone()).or_default() += 1;
+        }
+        if let Some(last) = self.last.replace(pair.sequences) {
+            for (side, missing) in self.frames_missing.iter_mut().enumerate() {
+                // A driver that was opened anew counts from 0 again; that is no gap.
+                let steps = pair.sequences[side].wrapping_sub(last[side]);
+                *missing += if (1..=1000).contains(&steps) { u64::from(steps - 1) } else { 0 };
+            }
+        }
+    }
+}
+
 /// A session that was opened: which pictures there are.
 #[derive(Clone, Debug)]
 pub struct Session {
@@ -118,6 +157,8 @@ pub struct Session {
     pub pairs: Vec<RecordedPair>,
     /// What cell and arm said to each other, in order; empty where nothing was recorded of it.
     pub arm: Vec<Said>,
+    /// What a recording says about its pairs.
+    pub results: Results,
     /// The byte at which a recording breaks off whose end is missing.
     pub broken_at: Option<u64>,
 }

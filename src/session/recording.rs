@@ -11,7 +11,7 @@ use prost::Message;
 use super::events::{CommandRecord, PairRecord, ReportRecord, Topic};
 use super::foxglove::{self, CompressedImage, ImageKind, RawImage};
 use super::records::{MessageAt, MessageError, RecordAt, RecordingError, RecordingFile};
-use super::{RecordedPair, RecordedPicture, Session};
+use super::{RecordedPair, RecordedPicture, Results, Session};
 use crate::camera::Side;
 use crate::frame::ColourEncoding;
 
@@ -55,6 +55,7 @@ struct Index {
     names: HashMap<i64, String>,
     /// What cell and arm said to each other.
     arm: Vec<Said>,
+    results: Results,
 }
 
 /// Reads through a recording.
@@ -98,7 +99,7 @@ pub(super) fn open(path: &Path) -> Result<Session, RecordingError> {
         pictures: pictures.map(|seen| seen.map(picture)),
     };
     let pairs = pairs.into_iter().enumerate().map(&mut pair).collect();
-    Ok(Session { path: path.to_owned(), rate_hz, pairs, arm: index.arm, broken_at })
+    Ok(Session { path: path.to_owned(), rate_hz, pairs, arm: index.arm, results: index.results, broken_at })
 }
 
 impl Index {
@@ -149,6 +150,7 @@ impl Index {
                 match channel.record {
                     Some(Topic::Pair) => {
                         let pair: PairRecord = serde_json::from_slice(&data).map_err(|e| bad(e.into()))?;
+                        self.results.add(&pair);
                         self.names.insert(pair.stamps_ns[0], pair.name);
                     }
                     Some(Topic::Command) => {
