@@ -114,6 +114,14 @@ impl<'a> LumaView<'a> {
                 let sum = i32::from(p[0]) * w[0] + i32::from(p[1]) * w[1] + i32::from(p[2]) * w[2];
                 *o = ((sum + (1 << (colour::LUMA_SHIFT - 1))) >> colour::LUMA_SHIFT) as u8;
             }
+        } else if let Reading::Plain { step: bytes } = self.reading {
+            let begin = y * self.stride + bytes * x;
+            match if down { self.stride } else { bytes } {
+                1 => out.copy_from_slice(&self.bytes[begin..begin + count]),
+                step => {
+                    out.iter_mut().zip(self.bytes[begin..].iter().step_by(step)).for_each(|(o, b)| *o = *b)
+                }
+            }
         } else {
             for (k, o) in out.iter_mut().enumerate() {
                 *o = self.at(x + dx * k, y + dy * k);
