@@ -87,21 +87,25 @@ impl ClaimMap {
         self.touched.clear();
     }
 
+    /// The cell of a place, in sides of cells.
+    #[inline]
     fn cell(&self, x: f64, y: f64) -> Option<usize> {
-        let (c, r) = (nearest(x / CELL_PX), nearest(y / CELL_PX));
+        let (c, r) = (nearest(x), nearest(y));
         (c >= 0 && r >= 0 && c < self.columns && r < self.rows).then(|| (r * self.columns + c) as usize)
     }
 
     /// Claims a piece of wire.
     pub fn claim(&mut self, piece: &PieceSight) {
         let direction = 1u32 << direction_of(&piece.across);
-        let steps = (piece.half_width_px * 0.8 / CELL_PX).ceil() as i32;
+        let reach = piece.half_width_px * (0.8 / CELL_PX);
+        let steps = reach.ceil().max(1.0) as i32;
+        let step = piece.across * (reach / f64::from(steps));
+        // In cells; one along the wire, too, so that none is left between two pieces.
+        let along = Vector2::new(piece.across.y, -piece.across.x);
+        let middle = piece.expected_px / CELL_PX;
         for k in -steps..=steps {
-            let along = Vector2::new(piece.across.y, -piece.across.x);
-            for s in -1..=1 {
-                let at = piece.expected_px
-                    + piece.across * (piece.half_width_px * 0.8 * k as f64 / steps.max(1) as f64)
-                    + along * (s as f64 * CELL_PX);
+            let beside = middle + step * f64::from(k);
+            for at in [beside - along, beside, beside + along] {
                 if let Some(cell) = self.cell(at.x, at.y) {
                     if self.cells[cell] == 0 {
                         self.touched.push(cell as u32);
@@ -119,12 +123,12 @@ impl ClaimMap {
 
     /// Whether a place lies on claimed wire.
     pub fn is_claimed_by_any(&self, px: &Vector2<f64>) -> bool {
-        self.cell(px.x, px.y).is_some_and(|cell| self.cells[cell] != 0)
+        self.cell(px.x / CELL_PX, px.y / CELL_PX).is_some_and(|cell| self.cells[cell] != 0)
     }
 
     /// Whether a place lies on claimed wire of the direction that `across` is at right angles to.
     pub fn is_claimed_at(&self, px: &Vector2<f64>, across: &Vector2<f64>) -> bool {
-        let Some(cell) = self.cell(px.x, px.y) else { return false };
+        let Some(cell) = self.cell(px.x / CELL_PX, px.y / CELL_PX) else { return false };
         let near = (1u32 << (2 * SAME_DIRECTION + 1)) - 1;
         let near = near.rotate_left((direction_of(across) + DIRECTIONS - SAME_DIRECTION) as u32);
         self.cells[cell] & near != 0
