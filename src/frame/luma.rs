@@ -130,7 +130,7 @@ impl<'a> LumaView<'a> {
     }
 
     /// Luma between the four nearest pixels, bilinear, not rounded; pixel centres are at whole numbers. Beyond the
-    /// picture its border goes on; a NaN coordinate counts as 0.
+    /// picture its border goes on; a NaN coordinate counts as 0. Places in grey pictures are rounded to 1/256 pixel.
     #[inline]
     pub fn sample(&self, x: f32, y: f32) -> f32 {
         let mut value = [0.0];
@@ -148,6 +148,9 @@ impl<'a> LumaView<'a> {
                 (i32::from(p[0]) * w[0] + i32::from(p[1]) * w[1] + i32::from(p[2]) * w[2]) as f32
                     * (1.0 / (1 << colour::LUMA_SHIFT) as f32)
             }),
+            Reading::Plain { step: 1 } if self.is_line_inside(from, step, sums.len()) => {
+                self.add_each_plain(from, step, sums);
+            }
             Reading::Plain { step: bytes } => {
                 self.add_each(from, step, sums, |x, y| f32::from(self.bytes[y * self.stride + bytes * x]))
             }
@@ -157,6 +160,35 @@ impl<'a> LumaView<'a> {
                 ((luma - 16.0) * (255.0 / 219.0)).clamp(0.0, 255.0)
             }),
             Reading::Ycbcr { .. } => self.add_each(from, step, sums, |x, y| f32::from(self.at(x, y))),
+        }
+    }
+
+    /// Whether a line has all four pixels around each of its places.
+    fn is_line_inside(&self, from: [f64; 2], step: [f64; 2], count: usize) -> bool {
+        let inside = |p: [f64; 2]| {
+            p[0] >= 0.0
+                && p[1] >= 0.0
+                && p[0] < (self.width as f64 - 1.0)
+                && p[1] < (self.height as f64 - 1.0)
+        };
+        let last = count.saturating_sub(1) as f64;
+        inside(from) && inside([from[0] + step[0] * last, from[1] + step[1] * last])
+    }
+
+    /// [`LumaView::add_line`] of a grey picture, all inside; places are rounded to 1/256 pixel.
+    fn add_each_plain(&self, from: [f64; 2], step: [f64; 2], sums: &mut [f32]) {
+        let fixed = |v: f64| (v * 65536.0) as i32;
+        let ([mut x, mut y], [dx, dy]) = (from.map(fixed), step.map(fixed));
+        for sum in sums {
+            let (fx, fy) = (x >> 8 & 0xff, y >> 8 & 0xff);
+            let at = (y >> 16) as usize * self.stride + (x >> 16) as usize;
+            let row = |at: usize| {
+                let [a, b] = self.bytes[at..].first_chunk().map_or([0; 2], |p: &[u8; 2]| p.map(i32::from));
+                (a << 8) + fx * (b - a)
+            };
+            let (upper, lower) = (row(at), row(at + self.stride));
+            *sum += ((upper << 8) + fy * (lower - upper)) as f32 * (1.0 / 65536.0);
+            (x, y) = (x + dx, y + dy);
         }
     }
 
