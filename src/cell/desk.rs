@@ -53,6 +53,13 @@ pub struct File {
     pub finished: Timestamp,
 }
 
+impl File {
+    /// With memory for as much as can be known.
+    fn with_room() -> Self {
+        Self { recognition: Recognition::with_room(), ..Self::default() }
+    }
+}
+
 /// To the arm's thread.
 #[derive(Debug)]
 #[expect(clippy::large_enum_variant, reason = "letters are moved through rings that were made before")]
@@ -228,7 +235,7 @@ impl Desk {
         let hub = Hub {
             letters: [from_left, from_right, from_recognise, from_cold],
             free: [free_left, free_right],
-            stock: (0..files).map(|_| Box::default()).collect(),
+            stock: (0..files).map(|_| Box::new(File::with_room())).collect(),
             papers: to_papers,
             records: to_records,
             log: to_log,

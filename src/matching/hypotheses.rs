@@ -13,7 +13,7 @@ use super::problem::{ANCHORS_MAX, Anchor, MatchModel, StereoNode, leg_direction}
 use crate::rig::Rig;
 
 /// A rough pose of a part.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Hypothesis {
     /// Index of the part.
     pub part: usize,

@@ -65,6 +65,12 @@ pub struct Verdict {
 }
 
 impl Verdict {
+    /// Nothing yet, with memory for a part of so many stations and stops.
+    pub fn with_room(stations: usize, stops: usize) -> Self {
+        let onward = Vec::with_capacity(stops * 2 * ONWARD_THICKNESSES.len());
+        Self { pieces: Vec::with_capacity(stations), onward, ..Self::default() }
+    }
+
     /// The terms of the fitness of the fitted part. Its length in space is the model's own; lengths in the pictures
     /// are judged by the ends, gaps by the middles of the wire.
     pub fn terms(&self, nodes_unseen: usize) -> Terms {
@@ -147,7 +153,6 @@ pub fn verify(
     verdict.missing = shares.map(|s| s[1]);
     verdict.offset_px = if seen > 0.0 { f64::sqrt(squares / seen) } else { f64::INFINITY };
     verdict.onward.clear();
-    verdict.onward.reserve(stops.len() * 2 * ONWARD_THICKNESSES.len());
     for (index, stop) in stops.iter().enumerate() {
         // Where both see the end, floor lies behind it, and what comes then is another's.
         let end = stop.end.and_then(|end| refine.ends().get(end));

@@ -17,7 +17,7 @@ use crate::rig::Rig;
 use crate::time::Budget;
 
 /// Most explanations of a pair.
-const EXPLANATIONS_MAX: usize = 2048;
+const EXPLANATIONS_MAX: usize = 1024;
 /// Two refined poses nearer than this are one.
 const SAME_MM: f64 = 1.0;
 /// A rough pose this near to a refined one would lead to it: where that is doubtful, where it is sound.
@@ -68,10 +68,20 @@ pub(super) struct Explanations {
 
 impl Explanations {
     /// Reserves all memory.
-    pub(super) fn new(params: refine::Params, rig: &Rig, nodes_max: usize) -> Self {
+    pub(super) fn new(params: refine::Params, rig: &Rig, nodes_max: usize, parts: &[Prepared]) -> Self {
+        let most = |count: fn(&Prepared) -> usize| parts.iter().map(count).max().unwrap_or(0);
+        let (stations, stops) = (most(|p| p.pose_model.stations.len()), most(|p| p.stops.len()));
+        let blank = || Explanation {
+            hypothesis: Hypothesis::default(),
+            fit: Fit::default(),
+            verdict: Verdict::with_room(stations, stops),
+            covariance: Matrix6::zeros(),
+            has_claimed: false,
+            worth: (0, Worth::NONE),
+        };
         Self {
             refine: Refine::new(params, rig),
-            list: Vec::with_capacity(EXPLANATIONS_MAX),
+            list: std::iter::repeat_with(blank).take(EXPLANATIONS_MAX).collect(),
             count: 0,
             claims: [&rig.left, &rig.right].map(|c| ClaimMap::new(c.width, c.height)),
             ends_taken: [0, 1].map(|_| Vec::with_capacity(nodes_max)),
@@ -150,17 +160,6 @@ impl Explanations {
             || prepared.is_among(self.all(), hypothesis.part, &fit.left_from_part, [SAME_MM; 2])
         {
             return;
-        }
-        if self.count == self.list.len() {
-            let verdict = Verdict::default();
-            self.list.push(Explanation {
-                hypothesis: *hypothesis,
-                fit,
-                verdict,
-                covariance: Matrix6::zeros(),
-                has_claimed: false,
-                worth: (0, Worth::NONE),
-            });
         }
         let explanation = &mut self.list[self.count];
         (explanation.hypothesis, explanation.fit, explanation.has_claimed) = (*hypothesis, fit, false);

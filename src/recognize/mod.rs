@@ -31,13 +31,13 @@ use explanations::{Explanations, Scene};
 use found::found;
 pub use params::Params;
 use prepared::Prepared;
+use result::PARTS_MAX;
 pub use result::{FoundNode, FoundPart, NoPick, Recognition, Refusal, Seen, Side, StageTimes};
 use unexplained::{half_width_px, is_claimed, unexplained_px};
 use views::{lit, views};
 
-/// Most hypotheses and parts of a pair.
+/// Most hypotheses of a pair.
 const HYPOTHESES_MAX: usize = 16384;
-const PARTS_MAX: usize = 128;
 
 /// The whole recognition with all its memory.
 pub struct Recognizer {
@@ -73,7 +73,7 @@ impl Recognizer {
                 lines::Params { depth_mm: params.gate.depth_mm, ..params.lines },
                 params.ridges.stretches_max,
             ),
-            explanations: Explanations::new(lit(&params), &rig, params.nodes.nodes_max),
+            explanations: Explanations::new(lit(&params), &rig, params.nodes.nodes_max, &parts),
             pictures,
             params,
             rig,

@@ -7,6 +7,9 @@ use crate::grasp::{Blocked, Grasp};
 use crate::part::NODES_MAX;
 use crate::vision::{binarize, graph};
 
+/// Most parts of a pair.
+pub(super) const PARTS_MAX: usize = 128;
+
 /// Why a pair was not recognised at all.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Refusal {
@@ -163,6 +166,13 @@ pub struct StageTimes {
     pub pose_ns: u64,
     /// All of it.
     pub total_ns: u64,
+}
+
+impl Recognition {
+    /// Nothing yet, with memory for as many parts as a pair can give.
+    pub fn with_room() -> Self {
+        Self { parts: Vec::with_capacity(PARTS_MAX), ..Self::default() }
+    }
 }
 
 /// What a pair shows.

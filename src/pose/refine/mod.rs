@@ -95,7 +95,7 @@ pub struct EndSighting {
 }
 
 /// A refined pose.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Fit {
     /// From the part's frame to the left camera's.
     pub left_from_part: Isometry3<f64>,
