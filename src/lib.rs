@@ -16,6 +16,7 @@
 //! | [`camera`] | buffers of a V4L2 device, or pictures of a session | [`Frame`](frame::Frame) with the time of its light | V | left, right |
 //! | [`cell::pairing`] | frames of both cameras | [`FramePair`](frame::FramePair) | V | arm |
 //! | [`vision::decode`] | an MJPEG frame | a raw frame | | recognise |
+//! | [`vision::luma`] | a raw frame | its luma, a byte a pixel: what is measured later is read there | | recognise |
 //! | [`vision::binarize`](mod@vision::binarize) | a raw frame | [`BitImage`](vision::bits::BitImage), object = 1 | IV-A, Algorithm 2 | recognise |
 //! | [`vision::thin`](mod@vision::thin) | the bit image | its skeleton, one pixel wide | IV-B | recognise |
 //! | [`vision::graph`](mod@vision::graph) | skeleton, mask, grey values | [`Graph`](vision::graph::Graph): ends, junctions, pixel chains | IV-C | recognise |
