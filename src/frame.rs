@@ -66,7 +66,8 @@ pub enum TimestampMark {
     HandedOver,
 }
 
-/// One picture. The one copy of the pixels: everything later reads these bytes.
+/// One picture. The one copy of the pixels; what is measured later is read from its
+/// [luma](crate::vision::luma).
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Frame {
     /// The bytes; for [`PixelFormat::Mjpeg`] the compressed picture, else rows of `stride_bytes`.

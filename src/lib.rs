@@ -29,7 +29,7 @@
 //! [`recognize`] composes the stages from pixels to grasps. A stage has one shape: `Params`, a workspace that owns all
 //! its memory, `new`, `run`; each is usable as a library without a cell.toml. The threads, and a fifth for what is cold
 //! (printing, drawing, writing), are those of [`cell::threads`], which carries letters between them and decides
-//! nothing. With two recognition threads the two pictures of a pair go through binarize, thin and graph at the same
+//! nothing. With two recognition threads the two pictures of a pair go through all stages up to the graph at the same
 //! time.
 //!
 //! # The rooms

@@ -8,6 +8,7 @@
 //! by (X - x m) / (n' + x') for any m at most S/n, n' at most n, x' at most x, or not at all where that is negative.
 
 use super::exhaustive::{Cost, Exhaustive, Tree};
+use super::neighbours::QUICK_WORDS;
 use super::rows::CHUNK;
 
 /// Rounding must not make a match out to be dominated that is not.
@@ -32,6 +33,10 @@ impl Tree<'_, '_> {
                 while bits != 0 {
                     let n = w * CHUNK + bits.trailing_zeros() as usize;
                     bits &= bits - 1;
+                    // Rows of many words take long to fill.
+                    if self.words > QUICK_WORDS && self.limits.budget.is_over() {
+                        return false;
+                    }
                     if self.goes_with_all(depth, a, n, open) && self.always_pays(depth, a, n, open, cost) {
                         return true;
                     }

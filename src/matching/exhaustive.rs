@@ -176,7 +176,7 @@ pub(super) struct Tree<'a, 'j> {
     pub(super) candidates: &'a Candidates,
     pub(super) all: &'a [Candidate],
     pub(super) words: usize,
-    limits: Limits,
+    pub(super) limits: Limits,
     found: &'a mut Found,
     pub(super) chosen: [u16; ANCHORS_MAX],
     /// Anchors that are matched, one bit each.

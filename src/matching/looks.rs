@@ -32,8 +32,8 @@ impl Parabola {
 #[inline]
 pub fn missing_on(level: Level, mask: &BitImage, curve: &Parabola, looks: u32, enough: u32) -> u32 {
     #[cfg(target_arch = "x86_64")]
-    if level == Level::Avx512 {
-        // SAFETY: the level says that the machine has AVX-512.
+    if level.supported() == Level::Avx512 {
+        // SAFETY: the machine has AVX-512.
         return unsafe { missing_avx512(mask, curve, looks, enough) };
     }
     let _ = level;
@@ -61,7 +61,7 @@ fn missing_plain(mask: &BitImage, curve: &Parabola, looks: u32, enough: u32) -> 
 }
 
 /// # Safety
-/// The processor has AVX-512 F.
+/// The processor has AVX-512 F and POPCNT.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,popcnt")]
 unsafe fn missing_avx512(mask: &BitImage, curve: &Parabola, looks: u32, enough: u32) -> u32 {

@@ -26,7 +26,7 @@ pub struct Neighbours {
 const WORDS: usize = 1 << 17;
 
 /// Rows so short are made in the time that it takes to read some pixels.
-const QUICK_WORDS: usize = 2;
+pub(super) const QUICK_WORDS: usize = 2;
 
 impl Neighbours {
     /// Reserves all memory for up to `nodes_max` candidates.

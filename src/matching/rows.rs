@@ -81,8 +81,8 @@ pub fn limits(length_mm: f64, tolerance_mm: f64) -> Limits {
 pub fn within(level: Level, points: &Points, at: [f32; 3], limits: &[Limits], rows: &mut [u64]) {
     assert!(rows.len() >= limits.len() * points.words(), "rows for all limits");
     #[cfg(target_arch = "x86_64")]
-    if level == Level::Avx512 {
-        // SAFETY: `Level::Avx512` is only made where the processor has it; the lists hold `words() * 64` values each
+    if level.supported() == Level::Avx512 {
+        // SAFETY: the machine has AVX-512; the lists hold `words() * 64` values each
         // (private fields, filled in `fill` alone), and the length of `rows` was checked above.
         unsafe { within_avx512(points, at, limits, rows) };
         return;
@@ -167,8 +167,8 @@ pub fn at_distance(
         wanted_mm.len()
     );
     #[cfg(target_arch = "x86_64")]
-    if level == Level::Avx512 {
-        // SAFETY: the level says that the machine has AVX-512, and the length of `rows` was checked above.
+    if level.supported() == Level::Avx512 {
+        // SAFETY: the machine has AVX-512, and the length of `rows` was checked above.
         unsafe { at_distance_avx512(points, at, wanted_mm, tolerance_mm, rows) };
         return;
     }
@@ -277,8 +277,8 @@ pub fn intersect(
     counts: &mut [u32],
 ) {
     #[cfg(target_arch = "x86_64")]
-    if level != Level::Plain {
-        // SAFETY: the levels above the plain one have POPCNT.
+    if level.supported() != Level::Plain {
+        // SAFETY: the machine has a level above the plain one, and with it POPCNT.
         unsafe { intersect_counted([a, b], words, wanted, common, counts) };
         return;
     }
@@ -331,8 +331,8 @@ pub fn near_line(level: Level, [xs, ys]: [&[f32]; 2], line: [f32; 3], widest_px:
         row.len()
     );
     #[cfg(target_arch = "x86_64")]
-    if level == Level::Avx512 {
-        // SAFETY: the level says that the machine has AVX-512, and the lengths were checked above.
+    if level.supported() == Level::Avx512 {
+        // SAFETY: the machine has AVX-512, and the lengths were checked above.
         unsafe { near_line_avx512([xs, ys], line, widest_px, row) };
         return;
     }

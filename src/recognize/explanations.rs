@@ -74,7 +74,7 @@ impl Explanations {
         let blank = || Explanation {
             hypothesis: Hypothesis::default(),
             fit: Fit::default(),
-            verdict: Verdict::with_room(stations, stops),
+            verdict: Verdict::with_room(stations.min(refine::STATIONS_MAX), stops),
             covariance: Matrix6::zeros(),
             has_claimed: false,
             worth: (0, Worth::NONE),
@@ -104,7 +104,7 @@ impl Explanations {
         &self.claims
     }
 
-    /// Refines and judges hypotheses, each pose once; says whether there was time for all. Wire and ends that a certain
+    /// Refines and judges hypotheses, each pose once; says whether there was time and room for all. Wire and ends that a certain
     /// explanation has are not explained again, and poses that show no end are looked at last, where no sound explanation
     /// has their wire. A count of iterations is for the searches: what they find is always looked at.
     pub(super) fn explain(&mut self, scene: &Scene, pool: &[Hypothesis], budget: Budget) -> bool {
@@ -143,7 +143,7 @@ impl Explanations {
         }
         self.endless = endless;
         self.claim_sound(known);
-        in_time
+        in_time && self.count < EXPLANATIONS_MAX
     }
 
     /// Refines a coarse pose and notes what comes of it.

@@ -1,6 +1,7 @@
 //! Recognition: a pair of pictures in, ranked grasps out. Composes the stages; each is a library of its own.
 //!
-//! Nothing is kept from one pair to the next. After the first pairs nothing is allocated, except by the JPEG decoder.
+//! Nothing is kept from one pair to the next. After `new` nothing is allocated, except for JPEG other than baseline and
+//! with two threads.
 
 mod explanations;
 mod found;

@@ -113,7 +113,7 @@ impl Decoder {
         };
         let bytes = vec![0; channels * width * height];
         let raw = Frame { bytes, format, width, height, stride_bytes: channels * width, ..Frame::default() };
-        Self { output, raw, level: level.min(Level::detect()), baseline: Baseline::new(width, height) }
+        Self { output, raw, level: level.supported(), baseline: Baseline::new(width, height) }
     }
 
     /// The picture that the last run decoded.
@@ -266,6 +266,19 @@ mod tests {
         bytes.extend_from_slice(&frame.bytes[at..]);
         assert!(bytes.len() < frame.bytes.len());
         Frame { bytes, ..frame.clone() }
+    }
+
+    #[test]
+    fn the_quantization_of_the_picture_before_is_not_used() {
+        let good = jpeg(48, 32);
+        let mut bad = good.clone();
+        while let Some(at) = bad.bytes.windows(2).position(|pair| pair == [0xff, 0xdb]) {
+            bad.bytes[at + 1] = 0xe1;
+        }
+        let mut decoder = Decoder::new(Output::Grey, 48, 32);
+        decoder.run(&good).unwrap();
+        let fault = decoder.run(&bad).expect_err("no tables");
+        assert!(fault.to_string().contains("no quantization table"), "{fault}");
     }
 
     #[test]

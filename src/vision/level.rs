@@ -1,5 +1,7 @@
 //! Which instructions the pixel stages use.
 
+use std::sync::LazyLock;
+
 /// Instruction sets the pixel stages have code for. All give the same bits; results never depend on it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Level {
@@ -17,8 +19,18 @@ impl Level {
         *Self::available().last().unwrap_or(&Self::Plain)
     }
 
+    /// This one, or the best one that this machine has where it lacks this.
+    pub fn supported(self) -> Self {
+        self.min(Self::detect())
+    }
+
     /// All that this machine has, slowest first.
     pub fn available() -> &'static [Level] {
+        static AVAILABLE: LazyLock<&[Level]> = LazyLock::new(Level::look);
+        *AVAILABLE
+    }
+
+    fn look() -> &'static [Level] {
         #[cfg(target_arch = "x86_64")]
         {
             let avx2 = is_x86_feature_detected!("avx2")

@@ -32,17 +32,21 @@ impl LumaPlane {
     /// As [`LumaPlane::new`] with other instructions, for comparing them; those this machine lacks are not used.
     pub fn with_level(width: usize, height: usize, level: Level) -> Self {
         // Rows of whole blocks.
-        let stride_bytes = width.next_multiple_of(64);
+        let stride_bytes = width.max(1).next_multiple_of(64);
         let bytes = vec![0; stride_bytes * height];
         let format = PixelFormat::Grey;
         let plane = Frame { bytes, format, width, height, stride_bytes, ..Frame::default() };
-        Self { level: level.min(Level::detect()), plane }
+        Self { level: level.supported(), plane }
     }
 
-    /// The luma of `frame`, whose YUV is read by `encoding`. Where the frame is compressed, of another size or
-    /// short, what is missing is black.
+    /// The luma of `frame`, whose YUV is read by `encoding`. Black where the frame is compressed or of another size, and
+    /// where it ends short.
     pub fn run(&mut self, frame: &Frame, encoding: ColourEncoding) -> &Frame {
         let Self { level, plane } = self;
+        if frame.format == PixelFormat::Mjpeg || (frame.width, frame.height) != (plane.width, plane.height) {
+            plane.bytes.fill(0);
+            return plane;
+        }
         let luma = Luma::of(frame);
         binarize::luma_rows(*level, luma, plane.stride_bytes, &mut plane.bytes);
         if matches!(frame.format, PixelFormat::Yuyv | PixelFormat::Nv12) {
@@ -126,5 +130,9 @@ mod tests {
         let mut stage = LumaPlane::new(64, 2);
         let plane = stage.run(&short, short.encoding);
         assert_eq!((plane.luma(63, 0), plane.luma(0, 1)), (255, 0));
+        let narrow = Frame::from_rgb(63, 2, vec![255; 3 * 126]);
+        assert!(stage.run(&narrow, narrow.encoding).bytes.iter().all(|&luma| luma == 0));
+        let empty = Frame { height: 3, ..Frame::default() };
+        assert_eq!(LumaPlane::new(0, 3).run(&empty, narrow.encoding).width, 0);
     }
 }

@@ -31,7 +31,7 @@ use crate::vision::bits::{BitImage, nearest};
 use crate::vision::level::Level;
 
 /// Most stations of a part that are looked at.
-const STATIONS_MAX: usize = 1024;
+pub(crate) const STATIONS_MAX: usize = 1024;
 /// Every so many stations are looked at while the pose is rough.
 const COARSE_STRIDE: usize = 3;
 /// See [`Measurement::patience`].

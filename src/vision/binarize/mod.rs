@@ -1,6 +1,6 @@
 //! A camera picture to a bit image: object = 1 (paper IV-A, Algorithm 2).
 //!
-//! Takes a [`Frame`] in any raw format, straight from the camera's bytes; gives a [`BitImage`]. Owns the region as
+//! Takes a [`Frame`] in any raw format, straight from the camera's bytes or their luma; gives a [`BitImage`]. Owns the region as
 //! a bit mask and the memory for finding thresholds and dropping specks; allocates nothing after `new`.
 //!
 //! The printed Algorithm 2 compares "`Colormin < pixel > Colormax`" and paints such a pixel white; the paper's text
@@ -129,7 +129,7 @@ impl Binarize {
             _ => ([0; 3], [255; 3]),
         };
         Ok(Self {
-            level: level.min(Level::detect()),
+            level: level.supported(),
             boxes: Box::new([
                 ByteBox::new([r0, g0, b0], [r1, g1, b1]),
                 ByteBox::new([b0, g0, r0], [b1, g1, r1]),

@@ -45,6 +45,8 @@ pub(super) struct Baseline {
     tables: Box<[Huffman; 4]>,
     own: [bool; 4],
     scales: [[f32; 64]; 4],
+    /// Which of them this picture has given.
+    is_quantized: [bool; 4],
     components: [Component; 3],
     count: usize,
     restart_interval: usize,
@@ -67,6 +69,7 @@ impl Baseline {
             tables: empty(),
             own: [false; 4],
             scales: [[0.0; 64]; 4],
+            is_quantized: [false; 4],
             components: [Component::default(); 3],
             count: 0,
             restart_interval: 0,
@@ -86,6 +89,7 @@ impl Baseline {
     #[inline(always)]
     pub(super) fn read(&mut self, kernel: impl Kernel, jpeg: &[u8], luma_only: bool) -> Result<(), Fault> {
         self.own = [false; 4];
+        self.is_quantized = [false; 4];
         self.restart_interval = 0;
         self.count = 0;
         let mut at = 2;
@@ -170,6 +174,7 @@ impl Baseline {
                 let place = zigzag(k);
                 scales[place] = value * idct::scale(place);
             }
+            self.is_quantized[id] = true;
         }
         Ok(())
     }
@@ -225,6 +230,9 @@ impl Baseline {
             }
             component.dc = 2 * usize::from(tables >> 4);
             component.ac = 2 * usize::from(tables & 1) + 1;
+        }
+        if self.components[..self.count].iter().any(|c| !self.is_quantized[c.quantization]) {
+            return Err(Fault::Damaged("no quantization table"));
         }
         Ok(())
     }
