@@ -7,7 +7,7 @@ mod stages;
 use pickcell::vision::level::Level;
 use pickcell::vision::thin::Algorithm;
 use serde::Deserialize;
-use stages::{Eye, SecondCore};
+use stages::{Eye, SecondCore, Waits};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Instant;
@@ -99,8 +99,11 @@ fn measure(rows: &mut Vec<Row>, i: usize, [left, right]: &[pickcell::frame::Fram
             other.run(right);
         });
         put(rows, PAIR, &format!("{who}, one core"), i, one_core);
-        let mut second = SecondCore::new(other, right.clone());
-        put(rows, PAIR, &format!("{who}, two cores"), i, median_us(|| second.run(&mut eye, left)));
+        for (waits, how) in [(Waits::Asleep, "two cores"), (Waits::Awake, "two cores, spinning")] {
+            let other = Eye::new(width, height, Algorithm::ZhangSuen, level);
+            let mut second = SecondCore::new(waits, other, right.clone());
+            put(rows, PAIR, &format!("{who}, {how}"), i, median_us(|| second.run(&mut eye, left)));
+        }
     }
 }
 

@@ -6,7 +6,7 @@ mod stages;
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use pickcell::vision::level::Level;
 use pickcell::vision::thin::Algorithm;
-use stages::{Eye, SecondCore};
+use stages::{Eye, SecondCore, Waits};
 use std::hint::black_box;
 
 const PICTURES: [(usize, usize, usize); 4] =
@@ -70,7 +70,7 @@ fn pair_to_graphs(c: &mut Criterion) {
                 },
             );
             let [mut here, there] = eyes;
-            let mut second = SecondCore::new(there, right.clone());
+            let mut second = SecondCore::new(Waits::Asleep, there, right.clone());
             group.bench_function(
                 BenchmarkId::new(format!("two cores/{}", level.name()), name(picture)),
                 |b| {

@@ -8,7 +8,7 @@ use pickcell::vision::bits::BitImage;
 use pickcell::vision::graph::{self, Graph, Graphs};
 use pickcell::vision::level::Level;
 use pickcell::vision::thin::{self, Algorithm, Thin};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, RecvError, SyncSender, TryRecvError, sync_channel};
 use std::thread::JoinHandle;
 
 /// The box that the rods of the drawn pictures lie in.
@@ -57,9 +57,30 @@ impl Eye {
     }
 }
 
-/// A second thread that lives as long as this: it takes the right frame and its stages, and gives them back. Both
-/// sides wait in the kernel, nothing spins.
+/// How two threads wait for each other.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Waits {
+    /// In the kernel, as in a cell.
+    Asleep,
+    /// Spinning, which starves the kernel's own workers: what the stages alone take.
+    Awake,
+}
+
+impl Waits {
+    fn take<T>(self, from: &Receiver<T>) -> Result<T, RecvError> {
+        loop {
+            match from.try_recv() {
+                Err(TryRecvError::Empty) if self == Waits::Awake => std::hint::spin_loop(),
+                Err(TryRecvError::Empty) => return from.recv(),
+                taken => return taken.map_err(|_| RecvError),
+            }
+        }
+    }
+}
+
+/// A second thread that lives as long as this: it takes the right frame and its stages, and gives them back.
 pub struct SecondCore {
+    waits: Waits,
     work: Option<SyncSender<(Box<Eye>, Frame)>>,
     done: Receiver<(Box<Eye>, Frame)>,
     thread: Option<JoinHandle<()>>,
@@ -68,18 +89,18 @@ pub struct SecondCore {
 }
 
 impl SecondCore {
-    pub fn new(eye: Eye, frame: Frame) -> Self {
+    pub fn new(waits: Waits, eye: Eye, frame: Frame) -> Self {
         let (work, todo) = sync_channel::<(Box<Eye>, Frame)>(1);
         let (finished, done) = sync_channel(1);
         let thread = std::thread::spawn(move || {
-            for (mut eye, frame) in todo {
+            while let Ok((mut eye, frame)) = waits.take(&todo) {
                 eye.run(&frame);
                 if finished.send((eye, frame)).is_err() {
                     return;
                 }
             }
         });
-        Self { work: Some(work), done, thread: Some(thread), right: Some((Box::new(eye), frame)) }
+        Self { waits, work: Some(work), done, thread: Some(thread), right: Some((Box::new(eye), frame)) }
     }
 
     /// Both pictures to graphs: right there, left here.
@@ -87,7 +108,7 @@ impl SecondCore {
         let right = self.right.take().expect("handed back");
         self.work.as_ref().expect("not dropped").send(right).expect("the thread lives");
         left.run(frame);
-        self.right = Some(self.done.recv().expect("the thread lives"));
+        self.right = Some(self.waits.take(&self.done).expect("the thread lives"));
     }
 }
 
