@@ -175,9 +175,9 @@ impl Session {
         Ok(folder::open(path)?)
     }
 
-    /// Time from one pair to the next.
+    /// Time from one pair to the next; at most a day.
     pub fn period(&self) -> Duration {
-        Duration::from_secs_f64(1.0 / self.rate_hz)
+        Duration::from_secs_f64((1.0 / self.rate_hz).min(86_400.0))
     }
 
     /// What to tell people about a recording whose end is missing.

@@ -20,6 +20,8 @@ use crate::frame::ColourEncoding;
 const RATE_HZ: f64 = 30.0;
 /// Fastest rate of a session, pairs a second.
 const RATE_HZ_MAX: f64 = 1000.0;
+/// Slowest rate: [`PAUSE_NS_MAX`] as a rate.
+const RATE_HZ_MIN: f64 = 0.1;
 
 /// Longest pause between two pairs that is kept, ns: nobody waits for what a stopped clock or a foreign file says.
 const PAUSE_NS_MAX: i64 = 10_000_000_000;
@@ -75,7 +77,7 @@ pub(super) fn open(path: &Path) -> Result<Session, RecordingError> {
         side.sort_by_key(|seen| seen.wall_ns);
     }
     let period_ns = middle_period_ns(left);
-    let seen_hz = period_ns.map_or(RATE_HZ, |ns| (1e9 / ns as f64).min(RATE_HZ_MAX));
+    let seen_hz = period_ns.map_or(RATE_HZ, |ns| (1e9 / ns as f64).clamp(RATE_HZ_MIN, RATE_HZ_MAX));
     let rate_hz = index.rate_hz.unwrap_or(seen_hz);
     let pairs = pair_up(left, right, period_ns.unwrap_or(i64::MAX) / 2);
     let mut after = 0;
@@ -133,7 +135,7 @@ impl Index {
             }
             Record::Metadata(about) if about.name == METADATA => {
                 let rate_hz = about.metadata.get("rate_hz").and_then(|text| text.parse().ok());
-                self.rate_hz = rate_hz.filter(|&hz: &f64| hz > 0.0 && hz <= RATE_HZ_MAX);
+                self.rate_hz = rate_hz.filter(|hz: &f64| (RATE_HZ_MIN..=RATE_HZ_MAX).contains(hz));
             }
             Record::Message { header, data } => {
                 let Some(channel) = self.channels.get(&header.channel_id) else { return Ok(()) };

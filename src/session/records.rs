@@ -1,11 +1,13 @@
 //! The records of an MCAP file, one after the other, up to its end or the place where it breaks off.
 //!
-//! Takes a file; gives records with the places where they stand; owns one record at a time. Lengths that a damaged or
-//! hostile file states are checked against what the file holds before anything is read or taken for it.
+//! Takes a file; gives records with the places where they stand; owns one record at a time, and the
+//! messages of one chunk. Lengths that a damaged or hostile file states are checked against what the file holds before
+//! anything is read or taken for it.
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use mcap::records::{ChunkHeader, Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
@@ -13,6 +15,11 @@ use mcap::{MAGIC, McapError, parse_record};
 
 /// Longest record, and longest content of a chunk, that is read: more than two pictures of the largest size.
 const RECORD_BYTES_MAX: u64 = 1 << 30;
+/// A byte of LZ4 becomes at most so many: a match grows by 255 with each byte of its length.
+const LZ4_GROWTH_MAX: u64 = 256;
+/// A byte of Zstandard becomes at most so many: a block of 128 KiB takes three bytes of head and one of content at
+/// least (RFC 8878, section 3.1.1.2).
+const ZSTD_GROWTH_MAX: u64 = 1 << 15;
 /// Opcode and length in front of every record.
 const HEAD_BYTES: u64 = 9;
 
@@ -125,6 +132,15 @@ pub struct RecordingFile {
     path: PathBuf,
     file: File,
     bytes: u64,
+    /// The messages that were read last: those of a chunk are mostly wanted one after the other.
+    last: Mutex<Unpacked>,
+}
+
+/// What the messages of a chunk, or of a record at `byte`, say.
+#[derive(Debug, Default)]
+struct Unpacked {
+    byte: u64,
+    messages: Vec<Vec<u8>>,
 }
 
 impl RecordingFile {
@@ -139,7 +155,7 @@ impl RecordingFile {
         if !about.is_file() {
             return Err(RecordingError::Foreign { path: path.to_owned() });
         }
-        let file = Self { path: path.to_owned(), file, bytes: about.len() };
+        let file = Self { path: path.to_owned(), file, bytes: about.len(), last: Mutex::default() };
         if file.bytes == 0 {
             return Err(RecordingError::Empty { path: file.path });
         }
@@ -155,16 +171,11 @@ impl RecordingFile {
         &self.path
     }
 
-    /// Its size.
-    pub fn bytes(&self) -> u64 {
-        self.bytes
-    }
-
     /// Shows every record up to the end of the data; chunks unpacked, attachments and indices left out. Gives the byte
-    /// at which the file breaks off where its end is missing.
+    /// at which the file breaks off where its end is missing: there it ends, or stops making sense.
     ///
     /// # Errors
-    /// It cannot be read or is damaged, or the first error of `each`.
+    /// It cannot be read, is damaged although its end is there, or the first error of `each`.
     pub fn walk(
         &self,
         mut each: impl FnMut(RecordAt<'_>) -> Result<(), RecordingError>,
@@ -177,8 +188,12 @@ impl RecordingFile {
                 op::DATA_END => return Ok((!self.has_end()?).then_some(self.bytes)),
                 op::ATTACHMENT | op::MESSAGE_INDEX => {}
                 _ => {
-                    self.load(at, body_bytes, &mut record)?;
-                    self.unpack(at, &record, &mut each)?;
+                    let loaded = self.load(at, body_bytes, &mut record);
+                    match loaded.and_then(|()| self.unpack(at, &record, &mut each)) {
+                        // Of the last pages a power cut may leave zeros, in the middle of a record too.
+                        Err(RecordingError::Damaged { .. }) if !self.has_end()? => return Ok(Some(at)),
+                        shown => shown?,
+                    }
                 }
             }
             at += HEAD_BYTES + body_bytes;
@@ -190,17 +205,22 @@ impl RecordingFile {
     /// # Errors
     /// It cannot be read or is damaged.
     pub fn message(&self, wanted: MessageAt) -> Result<Vec<u8>, RecordingError> {
-        let mut found = None;
-        let mut record = Vec::new();
-        if let Some((_, body_bytes)) = self.head(wanted.byte)? {
-            self.load(wanted.byte, body_bytes, &mut record)?;
-            self.unpack(wanted.byte, &record, &mut |RecordAt { at, record }| {
-                if let (true, Record::Message { data, .. }) = (at == wanted, record) {
-                    found = Some(data.into_owned());
-                }
-                Ok(())
-            })?;
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        if last.byte != wanted.byte || last.messages.is_empty() {
+            *last = Unpacked::default();
+            let (mut record, mut messages) = (Vec::new(), Vec::new());
+            if let Some((_, body_bytes)) = self.head(wanted.byte)? {
+                self.load(wanted.byte, body_bytes, &mut record)?;
+                self.unpack(wanted.byte, &record, &mut |RecordAt { record, .. }| {
+                    if let Record::Message { data, .. } = record {
+                        messages.push(data.into_owned());
+                    }
+                    Ok(())
+                })?;
+            }
+            *last = Unpacked { byte: wanted.byte, messages };
         }
+        let found = last.messages.get(wanted.index as usize).cloned();
         found.ok_or_else(|| self.damaged(wanted.byte, McapError::BadIndex.into()))
     }
 
@@ -265,12 +285,13 @@ impl RecordingFile {
             return each(RecordAt { at: MessageAt { byte, index: 0 }, record: parsed });
         };
         check_chunk(&header, &data).map_err(damaged)?;
+        let bytes_max = body.len().max(header.uncompressed_size as usize);
         let mut reader = LinearReader::new_with_options(
             LinearReaderOptions::default()
                 .with_skip_start_magic(true)
                 .with_skip_end_magic(true)
                 .with_prevalidate_chunk_crcs(true)
-                .with_record_length_limit(RECORD_BYTES_MAX as usize),
+                .with_record_length_limit(bytes_max),
         );
         let (mut rest, mut index) = (record, 0);
         while let Some(event) = reader.next_event() {
@@ -303,7 +324,13 @@ fn parse_inner(opcode: u8, body: &[u8]) -> Result<Record<'_>, Damage> {
 
 /// Whether the lengths that a chunk states can be. The reader of the library counts on those of an uncompressed one.
 fn check_chunk(header: &ChunkHeader, data: &[u8]) -> Result<(), Damage> {
-    if header.uncompressed_size > RECORD_BYTES_MAX {
+    let growth_max = match &*header.compression {
+        "lz4" => LZ4_GROWTH_MAX,
+        _ => ZSTD_GROWTH_MAX,
+    };
+    // Memory is taken for what is stated: no more than the content could become.
+    let bytes_max = RECORD_BYTES_MAX.min((data.len() as u64).saturating_mul(growth_max));
+    if header.uncompressed_size > bytes_max {
         return Err(Damage::Length { bytes: header.uncompressed_size });
     }
     let mut rest = data;

@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 use std::io::Cursor;
 
-use mcap::records::MessageHeader;
+use mcap::records::{MessageHeader, op};
 use mcap::{Compression, WriteOptions};
 use prost::Message;
 
@@ -117,6 +117,63 @@ fn a_recording_that_breaks_off_is_read_up_to_there_and_says_so() {
     let zeros = [&whole[..whole.len() - 60], &[0; 4096]].concat();
     let session = Session::open(&write(folder.path(), "zeros.mcap", &zeros)).unwrap();
     assert_eq!((session.pairs.len(), session.broken_at.is_some()), (6, true));
+}
+
+/// Where the last chunk stands, and the first byte behind it.
+fn last_chunk(bytes: &[u8]) -> (usize, usize) {
+    let (mut at, mut last) = (mcap::MAGIC.len(), None);
+    while bytes[at] != op::DATA_END {
+        let length = u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap());
+        let after = at + 9 + length as usize;
+        last = if bytes[at] == op::CHUNK { Some((at, after)) } else { last };
+        at = after;
+    }
+    last.unwrap()
+}
+
+#[test]
+fn a_chunk_whose_content_a_power_cut_has_lost_ends_the_recording() {
+    let folder = tempfile::tempdir().unwrap();
+    for compression in [None, Some(Compression::Lz4), Some(Compression::Zstd)] {
+        let whole = six_pairs(compression);
+        let (at, after) = last_chunk(&whole);
+        for kept in [60, (after - at) / 2, after - at - 20] {
+            let mut torn = whole[..after].to_vec();
+            torn[at + kept..].fill(0);
+            let session = Session::open(&write(folder.path(), "torn.mcap", &torn)).unwrap();
+            assert_eq!(session.broken_at, Some(at as u64), "{compression:?}, {kept} bytes kept");
+            let pictures = session.pairs.iter().flat_map(|pair| pair.pictures.iter().flatten()).count();
+            assert!((2..11).contains(&pictures), "{pictures} of 11 pictures");
+        }
+    }
+}
+
+#[test]
+fn a_chunk_that_states_more_than_it_could_become_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    for compression in [Compression::Lz4, Compression::Zstd] {
+        let mut bytes = six_pairs(Some(compression));
+        let (at, _) = last_chunk(&bytes);
+        // Behind opcode, length and two times.
+        bytes[at + 25..at + 33].copy_from_slice(&(1_u64 << 30).to_le_bytes());
+        let error = Session::open(&write(folder.path(), "big.mcap", &bytes)).unwrap_err().to_string();
+        assert!(error.contains(&format!("damaged at byte {at}: a record of 1073741824 bytes")), "{error}");
+    }
+}
+
+#[test]
+fn a_recording_with_hours_between_its_pairs_is_played_within_seconds() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut file = Foreign::new(None);
+    let sides = ["/left", "/right"].map(|topic| file.topic(topic, "foxglove.RawImage", "protobuf"));
+    for hour in 0..2 {
+        for side in sides {
+            file.message(side, hour * 3_600_000_000_000, &raw("mono8", 2, 2, 2, vec![0; 4]));
+        }
+    }
+    let session = Session::open(&write(folder.path(), "hours.mcap", &file.bytes())).unwrap();
+    assert_eq!((session.pairs.len(), session.period()), (2, Duration::from_secs(10)));
+    assert_eq!(session.pairs[1].after_ns, 10_000_000_000);
 }
 
 #[test]
