@@ -11,11 +11,14 @@ use std::time::Duration;
 use super::{Condition, Grab, Side};
 use crate::frame::{Frame, TimestampMark};
 use crate::handover::Waker;
-use crate::session::{RecordedPair, RecordedPicture, Session, SessionError};
+use crate::session::{PictureError, RecordedPair, RecordedPicture, Session, SessionError};
 use crate::time::Timestamp;
 
 /// Decoded pictures are kept in memory up to this size, both sides together; the rest is read when it is due.
 const KEPT_BYTES_MAX: usize = 512 << 20;
+
+/// Longest wait for the first pair.
+const FIRST_WAIT_MAX: Duration = Duration::from_secs(1);
 
 /// Longest pause between two pairs of a stepped session, ns.
 const BREATH_NS_MAX: i64 = 5_000_000;
@@ -28,7 +31,7 @@ pub enum Pace {
     /// At the times at which the session was recorded.
     AsRecorded,
     /// The next pair when the cell has finished the last one: whoever finishes a pair wakes both. Only pairs of which
-    /// both pictures are there are played.
+    /// both pictures are there and whole are played.
     Stepped([Arc<Waker>; 2]),
 }
 
@@ -36,7 +39,11 @@ pub enum Pace {
 enum Picture {
     Kept(Frame),
     Stored(RecordedPicture),
+    /// It came from its camera so.
+    Damaged,
     Absent,
+    /// Not played: of a stepped session a pair that the cell would not finish.
+    LeftOut,
 }
 
 /// When each pair was handed over, 0 = not yet.
@@ -86,14 +93,17 @@ pub struct ReplayCamera {
     pace: Pace,
     /// Next pair; the session starts anew at its end until `at` of all pairs are used up.
     next: usize,
+    /// The last pair that was played.
+    previous: Option<usize>,
 }
 
 impl ReplayCamera {
     /// Both sides of `session`, which is repeated until `pairs` pairs were played. The first pair is due a period
-    /// from now. `raw`: JPEG pictures are decoded beforehand, as a camera without compression delivers them.
+    /// from now, after a second at the latest. `raw`: JPEG pictures are decoded beforehand, as a camera without
+    /// compression delivers them. A picture of a recording that came damaged from its camera is played as damaged.
     ///
     /// # Errors
-    /// A picture that cannot be read.
+    /// A picture file that cannot be read; a recording that cannot, or has no whole picture of a side.
     pub fn both(session: &Session, pace: &Pace, pairs: usize, raw: bool) -> Result<[Self; 2], SessionError> {
         let first_after = match pace {
             Pace::Every(period) => *period,
@@ -101,13 +111,14 @@ impl ReplayCamera {
             Pace::Stepped(_) => Duration::ZERO,
         };
         let moments = Arc::new(Moments {
-            start: Timestamp::now().after(first_after),
+            start: Timestamp::now().after(first_after.min(FIRST_WAIT_MAX)),
             at: (0..pairs).map(|_| AtomicI64::new(0)).collect(),
             plan_ns: plan(session, pace),
         });
         let mut kept = 0;
         let mut side = |side: Side| -> Result<Self, SessionError> {
             let mut pictures = Vec::with_capacity(session.pairs.len());
+            let (mut is_any_whole, mut first_error) = (false, None);
             let whole = |pair: &&RecordedPair| {
                 !matches!(pace, Pace::Stepped(_)) || pair.pictures.iter().all(Option::is_some)
             };
@@ -116,16 +127,39 @@ impl ReplayCamera {
                     pictures.push(Picture::Absent);
                     continue;
                 };
-                let frame = if raw { picture.read_raw()? } else { picture.read()? };
+                let frame = match if raw { picture.read_raw() } else { picture.read() } {
+                    Ok(frame) => frame,
+                    Err(error) if is_only_of(picture, &error) => {
+                        first_error.get_or_insert(error);
+                        pictures.push(Picture::Damaged);
+                        continue;
+                    }
+                    Err(error) => return Err(error.into()),
+                };
+                is_any_whole = true;
                 kept += frame.bytes.len();
                 pictures.push(match kept <= KEPT_BYTES_MAX {
                     true => Picture::Kept(frame),
                     false => Picture::Stored(picture.clone()),
                 });
             }
-            Ok(Self { side, pictures, moments: Arc::clone(&moments), pace: pace.clone(), next: 0 })
+            if let (Some(error), false) = (first_error, is_any_whole) {
+                return Err(error.into());
+            }
+            Ok(Self {
+                side,
+                pictures,
+                moments: Arc::clone(&moments),
+                pace: pace.clone(),
+                next: 0,
+                previous: None,
+            })
         };
-        Ok([side(Side::Left)?, side(Side::Right)?])
+        let mut sides = [side(Side::Left)?, side(Side::Right)?];
+        if let Pace::Stepped(_) = pace {
+            leave_out_damaged(&mut sides);
+        }
+        Ok(sides)
     }
 
     /// The largest picture of this side that is kept in memory, bytes.
@@ -141,13 +175,19 @@ impl ReplayCamera {
     pub fn grab(&mut self, frame: &mut Frame, timeout: Duration) -> Grab {
         let give_up = Timestamp::now().after(timeout);
         while self.next < self.moments.at.len() && !self.pictures.is_empty() {
+            if let Picture::LeftOut = self.pictures[self.next % self.pictures.len()] {
+                self.next += 1;
+                continue;
+            }
             if !self.wait_due(give_up) {
                 return Grab::TimedOut;
             }
             let index = self.next;
             self.next += 1;
+            self.previous = Some(index);
             let condition = match &self.pictures[index % self.pictures.len()] {
-                Picture::Absent => continue,
+                Picture::Absent | Picture::LeftOut => continue,
+                Picture::Damaged => Condition::Damaged,
                 Picture::Kept(kept) => {
                     copy(kept, frame);
                     Condition::Good
@@ -170,8 +210,8 @@ impl ReplayCamera {
 
     /// Sleeps for a ninth of the time that the last pair took. A cell that is never out of work would keep its core
     /// to itself; the kernel then takes it away from real-time threads for 50 ms in every second.
-    fn take_breath(&self) {
-        let last = self.moments.at[self.next - 1].load(Ordering::Relaxed);
+    fn take_breath(&self, previous: usize) {
+        let last = self.moments.at[previous].load(Ordering::Relaxed);
         let took = Timestamp::now().since(Timestamp(last)).clamp(0, BREATH_NS_MAX * 9);
         std::thread::sleep(Duration::from_nanos(took as u64 / 9));
     }
@@ -186,17 +226,29 @@ impl ReplayCamera {
             }
             Pace::Stepped(wakers) => {
                 let left = give_up.since(Timestamp::now()).max(0);
-                if self.next == 0 {
-                    return true;
-                }
+                let Some(previous) = self.previous else { return true };
                 let woken = wakers[self.side.index()].wait(Some(Duration::from_nanos(left as u64)));
                 if woken && left > 0 {
-                    self.take_breath();
+                    self.take_breath(previous);
                 }
                 woken
             }
         }
     }
+}
+
+/// Of a pair with a damaged picture neither is played.
+fn leave_out_damaged([left, right]: &mut [ReplayCamera; 2]) {
+    for pair in left.pictures.iter_mut().zip(&mut right.pictures) {
+        if matches!(pair, (Picture::Damaged, _) | (_, Picture::Damaged)) {
+            (*pair.0, *pair.1) = (Picture::LeftOut, Picture::LeftOut);
+        }
+    }
+}
+
+/// Whether an error is of one picture of a recording, as its camera sent it, and not of the whole recording.
+fn is_only_of(picture: &RecordedPicture, error: &PictureError) -> bool {
+    matches!(picture, RecordedPicture::Message { .. }) && !matches!(error, PictureError::Recording(_))
 }
 
 /// See [`Moments::plan_ns`].
@@ -232,6 +284,8 @@ fn sleep_until(due: Timestamp) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::frame::PixelFormat;
+    use crate::session::{About, RecordingWriter};
 
     /// Three pairs; the right picture of the second one is missing.
     fn session(folder: &std::path::Path) -> Session {
@@ -295,6 +349,71 @@ mod tests {
         let every = Pace::Every(Duration::from_millis(2));
         let moments = Moments { start: Timestamp(0), at: Vec::new(), plan_ns: plan(&session, &every) };
         assert_eq!(moments.planned(4), Timestamp(8_000_000));
+    }
+
+    /// Four pairs 10 ms apart; the right picture of those in `damaged` is no picture.
+    fn recording(folder: &std::path::Path, damaged: &[i64]) -> Session {
+        let path = folder.join("a.mcap");
+        let mut writer = RecordingWriter::create(&path, &About::default()).unwrap();
+        for i in 0..4 {
+            let mut grey = Frame { format: PixelFormat::Grey, width: 2, height: 2, ..Frame::default() };
+            (grey.stride_bytes, grey.bytes) = (2, vec![i as u8; 4]);
+            let broken = Frame { format: PixelFormat::Mjpeg, bytes: vec![1; 9], ..Frame::default() };
+            let right = if damaged.contains(&i) { broken } else { grey.clone() };
+            for (side, mut frame) in Side::BOTH.into_iter().zip([grey, right]) {
+                frame.timestamp = Timestamp(1 + i * 10_000_000);
+                writer.frame(side, &mut frame).unwrap();
+            }
+        }
+        writer.finish().unwrap();
+        Session::open(&path).unwrap()
+    }
+
+    #[test]
+    fn a_damaged_picture_of_a_recording_is_played_as_damaged() {
+        let folder = tempfile::tempdir().unwrap();
+        let session = recording(folder.path(), &[0, 2]);
+        let [_, mut right] = ReplayCamera::both(&session, &Pace::AsRecorded, 4, true).unwrap();
+        let mut frame = Frame::default();
+        for expected in [Condition::Damaged, Condition::Good, Condition::Damaged, Condition::Good] {
+            let grab = right.grab(&mut frame, Duration::from_secs(10));
+            assert_eq!(grab, Grab::Frame { condition: expected, skipped: 0 });
+        }
+        // Of a stepped session the whole pair is left out: the cell would not finish it.
+        let wakers = [(); 2].map(|()| Arc::new(Waker::new().unwrap()));
+        for mut camera in ReplayCamera::both(&session, &Pace::Stepped(wakers.clone()), 4, true).unwrap() {
+            for expected in [1, 3] {
+                let grab = camera.grab(&mut frame, Duration::ZERO);
+                assert_eq!(
+                    (grab, frame.bytes[0]),
+                    (Grab::Frame { condition: Condition::Good, skipped: 0 }, expected)
+                );
+                wakers[camera.side.index()].wake();
+            }
+            assert_eq!(camera.grab(&mut frame, Duration::ZERO), Grab::Ended);
+        }
+    }
+
+    #[test]
+    fn a_side_without_a_whole_picture_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let session = recording(folder.path(), &[0, 1, 2, 3]);
+        let error = ReplayCamera::both(&session, &Pace::AsRecorded, 4, false).unwrap_err().to_string();
+        assert!(
+            error.contains("/right/image at byte ") && error.ends_with("neither a png nor a jpg picture"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn nobody_waits_long_for_the_first_pair() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut session = session(folder.path());
+        session.rate_hz = 0.1;
+        let [left, _] = ReplayCamera::both(&session, &Pace::AsRecorded, 3, false).unwrap();
+        assert!(left.moments.start.since(Timestamp::now()) <= 1_000_000_000);
+        session.rate_hz = 1e-300;
+        assert_eq!(session.period(), Duration::from_secs(86_400));
     }
 
     #[test]
