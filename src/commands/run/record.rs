@@ -135,10 +135,11 @@ impl Recorder {
         let with_file = file.is_some();
         let recognised = !matches!(report.outcome, Err(NoPick::Superseded | NoPick::Stopping));
         self.bare += u64::from(recognised && !with_file);
-        // A file comes back by itself: there are only so many of them.
-        match self.orders.send(Order::Pair { record, at: report.at, file, caption }) {
+        // A disk that hangs must not keep the cell's lines and place records waiting.
+        match self.orders.try_send(Order::Pair { record, at: report.at, file, caption }) {
             Ok(()) => self.under_way += usize::from(with_file),
             Err(refused) => {
+                self.lost += 1;
                 if let Order::Pair { file: Some(file), .. } = refused.into_inner() {
                     return Err(file);
                 }
@@ -287,7 +288,8 @@ impl Book {
 
     fn work(&mut self, ordered: &Receiver<Order>, finished: &Sender<Written>, waker: &Waker) -> Tally {
         loop {
-            let order = ordered.recv_timeout(Duration::from_nanos(FLUSH_NS as u64));
+            let left_ns = (FLUSH_NS - Timestamp::now().since(self.flushed)).clamp(0, FLUSH_NS);
+            let order = ordered.recv_timeout(Duration::from_nanos(left_ns as u64));
             let begun = Timestamp::now();
             let more = !matches!(order, Err(RecvTimeoutError::Disconnected));
             if let Ok(order) = order
@@ -402,10 +404,11 @@ impl Book {
     fn give_up_on(&mut self, written: Result<(), WriteError>) {
         if let Err(error) = written {
             tracing::error!("{error}; the cell goes on");
-            let bytes = std::fs::metadata(&self.tally.path).map_or(0, |about| about.len());
-            self.tally.bytes = self.finished_bytes + bytes;
-            // Its end cannot be written either.
-            self.writer = None;
+            // Its end cannot be written either. Where none is open, the last one is counted already.
+            if self.writer.take().is_some() {
+                self.finished_bytes += std::fs::metadata(&self.tally.path).map_or(0, |about| about.len());
+                self.tally.bytes = self.finished_bytes;
+            }
         }
     }
 }
@@ -440,5 +443,55 @@ fn said_to(writer: &mut RecordingWriter, at: Timestamp, said: Said) -> Result<()
         Said::Command(command, refused) => {
             writer.record(Topic::Command, at, &CommandRecord { command, refused })
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::Condition;
+    use crate::cell::pairing::{FrameSeen, Handle, Pair};
+    use crate::frame::TimestampMark;
+
+    #[test]
+    fn a_recorder_that_hangs_keeps_nobody_waiting() {
+        let (orders, _hanging) = bounded(1);
+        let (_finished, written) = unbounded();
+        let thread = std::thread::spawn(Tally::default);
+        let mut recorder = Recorder { orders, written, thread, under_way: 0, lost: 0, bare: 0 };
+        recorder.line(Level::Info, Timestamp(1), "one".into());
+        let seen = |side| FrameSeen {
+            handle: Handle(0),
+            side,
+            timestamp: Timestamp(1),
+            mark: TimestampMark::HandedOver,
+            sequence: 1,
+            condition: Condition::Good,
+            skipped: 0,
+        };
+        let pair = Pair { number: 1, left: seen(Side::Left), right: seen(Side::Right) };
+        let outcome = Err(NoPick::Late);
+        let report = PairReport { pair, at: Timestamp(2), outcome, deadline_kept: true };
+        let back = recorder.pair("1".into(), String::new(), &report, Some(Box::default()));
+        assert!(back.is_err(), "the file comes back");
+        assert!(recorder.pair("1".into(), String::new(), &report, None).is_ok());
+        assert_eq!((recorder.lost, recorder.bare, recorder.under_way), (2, 1, 0));
+    }
+
+    #[test]
+    fn the_bytes_of_a_full_file_are_counted_once_where_the_next_cannot_be_made() {
+        let folder = tempfile::tempdir().unwrap();
+        let settings = Recording {
+            folder: folder.path().join("recordings"),
+            pictures: KeptPictures::All,
+            file_bytes_max: 1,
+            when_full: WhenFull::NextFile,
+        };
+        let mut book = Book::begin(settings, About::default(), Vec::new()).unwrap();
+        book.settings.folder = folder.path().join("recordings/none.mcap");
+        std::fs::write(&book.settings.folder, "no folder").unwrap();
+        book.full();
+        let bytes = std::fs::metadata(&book.tally.path).unwrap().len();
+        assert_eq!((book.tally.bytes, book.writer.is_some()), (bytes, false));
     }
 }
