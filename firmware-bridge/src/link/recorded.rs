@@ -5,11 +5,15 @@
 //! commands at the same times get the same answers. The last gate is asked as for any other arm.
 //!
 //! What was said is kept by the command that it answers: to the n-th target everything about that target, whenever it
-//! came, and everything else up to the next command (clear of the view, ready, a button, a lost connection); to the n-th
-//! release what followed it. Holds, unlocks, questions and handshakes are answered at once, as a sound arm does.
+//! came, and everything else up to the next command (clear of the view, ready, an alarm, a lost connection); to the n-th
+//! release what followed it. Holds, unlocks, questions and handshakes are answered at once, as a sound arm does; a
+//! handshake or a hold more or less than in the recording moves the releases against it, and with them how long each
+//! takes.
 //! - A recording that ends before a target did says that the target is lost.
-//! - A target that the recorded operator interrupted by a hold fails again, and the arm is ready after that: this run's
-//!   operator did not hold it.
+//! - What only the recorded operator could end does not stop this run, whose operator has not caused it. A hold of his,
+//!   by command or by a button at the arm, is left out together with its release: a target that it interrupted fails
+//!   again, and the arm is ready after that. An alarm comes again, and is followed by the hold of a controller that was
+//!   reset. An arm that he had to release at the start is here one that was just switched on.
 //! - When the answers are used up, the next target is refused with [`Refusal::NoRecordedAnswer`] and the arm is on hold
 //!   by [`HeldBy::RecordingOver`], which only an operator ends, until the target after that.
 
@@ -62,11 +66,13 @@ impl Answers {
     pub fn new(conversation: &[Said]) -> Self {
         let mut answers = Self { held_by: HeldBy::Start, releases: Vec::new(), picks: Vec::new() };
         let first = conversation.iter().find_map(|said| match said.what {
-            What::Report(Report::Connected { held_by, .. }) => Some(held_by),
+            What::Report(Report::Connected { held_by, .. }) => Some(without_operator(held_by)),
             _ => None,
         });
         answers.held_by = first.unwrap_or(HeldBy::Start);
         let mut asked = Asked::Nobody;
+        // The recorded operator holds the arm, which this run's does not.
+        let mut is_left_out = false;
         let (mut release_ns, mut pick_ns, mut pick_id) = (0, 0, None);
         for said in conversation {
             match said.what {
@@ -74,12 +80,17 @@ impl Answers {
                     (asked, pick_ns, pick_id) = (Asked::Pick, said.at_ns, Some(pick.id));
                     answers.picks.push(Vec::new());
                 }
+                What::Command(Command::Release) if std::mem::take(&mut is_left_out) => asked = Asked::Nobody,
                 What::Command(Command::Release) => {
                     (asked, release_ns) = (Asked::Release, said.at_ns);
                     answers.releases.push(Vec::new());
                 }
                 What::Command(Command::Query { .. }) => {}
-                What::Command(_) => asked = Asked::Nobody,
+                What::Command(command) => {
+                    asked = Asked::Nobody;
+                    is_left_out |= command == Command::Hold;
+                }
+                What::Report(Report::Held { by: HeldBy::Command | HeldBy::Operator }) => is_left_out = true,
                 What::Report(report) => {
                     let about = target_of(&report);
                     let is_own = about.is_some() && about == pick_id;
@@ -91,20 +102,35 @@ impl Answers {
                         Asked::Nobody => continue,
                     };
                     if let Some(list) = list {
+                        let report = match report {
+                            Report::Connected { session, held_by } => {
+                                is_left_out = false;
+                                Report::Connected { session, held_by: without_operator(held_by) }
+                            }
+                            Report::Held { by: HeldBy::Alarm } => AFTER_ALARM,
+                            other => other,
+                        };
                         list.push((said.at_ns.saturating_sub(since_ns).max(0), report));
                     }
                 }
             }
         }
-        answers.picks.iter_mut().for_each(complete);
+        let last = answers.picks.len().saturating_sub(1);
+        answers.picks.iter_mut().enumerate().for_each(|(n, list)| complete(list, n == last));
         // A release that the recorded operator took back makes this arm ready: this run's has not.
         answers.releases.iter_mut().for_each(|list| go_on(list, 0));
         answers
     }
+}
 
-    /// How many targets have an answer.
-    pub fn targets(&self) -> usize {
-        self.picks.len()
+/// What follows an alarm, which the recorded operator had to end.
+const AFTER_ALARM: Report = Report::Held { by: HeldBy::ControllerReset };
+
+/// What holds this run's arm, of which no operator knows yet, where that held the recorded one.
+fn without_operator(held_by: HeldBy) -> HeldBy {
+    match held_by {
+        HeldBy::Command | HeldBy::Alarm | HeldBy::Operator | HeldBy::RecordingOver => HeldBy::Start,
+        by @ (HeldBy::Start | HeldBy::ControllerReset | HeldBy::HeartbeatLost | HeldBy::LinkLost) => by,
     }
 }
 
@@ -158,23 +184,32 @@ fn is_kept(report: &Report) -> bool {
 }
 
 /// Every target ends, and something follows its end.
-fn complete(list: &mut Vec<Answer>) {
+fn complete(list: &mut Vec<Answer>, is_last: bool) {
     list.sort_by_key(|(after_ns, _)| *after_ns);
     let last_ns = list.last().map_or(0, |(after_ns, _)| *after_ns);
-    let Some(end) = list.iter().position(|(_, report)| is_end(report)) else {
+    let end = list.iter().position(|(_, report)| is_end(report));
+    if end.is_none() {
         list.push((last_ns, Report::Lost { id: 0 }));
-        list.push((last_ns, Report::Held { by: HeldBy::RecordingOver }));
-        return;
-    };
-    go_on(list, end);
+    }
+    match end {
+        None if is_last => list.push((last_ns, Report::Held { by: HeldBy::RecordingOver })),
+        None => go_on(list, list.len() - 1),
+        Some(end) => go_on(list, end),
+    }
 }
 
-/// Something that the cell can go on from follows after `from`.
+/// The list ends, after `from`, in something that the cell goes on from without an operator.
 fn go_on(list: &mut Vec<Answer>, from: usize) {
     let last_ns = list.last().map_or(0, |(after_ns, _)| *after_ns);
-    let goes_on = |(_, report): &Answer| is_kept(report) && *report != Report::ClearOfView;
-    if !list[from..].iter().any(goes_on) {
-        list.push((last_ns, Report::Ready { clear_of_view: true }));
+    let says_state = |(_, report): &Answer| is_kept(report) && *report != Report::ClearOfView;
+    let state = list.iter().rposition(says_state).map(|place| (place, list[place].1));
+    match state {
+        Some((_, Report::Alarm { .. } | Report::PositionUnknown)) => list.push((last_ns, AFTER_ALARM)),
+        Some((place, Report::Ready { .. })) if place < from => {
+            list.push((last_ns, Report::Ready { clear_of_view: true }));
+        }
+        None => list.push((last_ns, Report::Ready { clear_of_view: true })),
+        Some(_) => {}
     }
 }
 
@@ -204,6 +239,8 @@ pub struct RecordedLink {
     /// The last one that has, and how.
     last: Option<(u64, Outcome)>,
     not_before_ns: i64,
+    /// From ready to clear of the view, where the arm does not say the latter.
+    clear_dwell_ns: i64,
     started: bool,
 }
 
@@ -224,6 +261,7 @@ impl RecordedLink {
             unfinished: None,
             last: None,
             not_before_ns: i64::MAX,
+            clear_dwell_ns: i64::from(settings.arm.clear_dwell_ms) * 1_000_000,
             started: false,
         }
     }
@@ -356,9 +394,10 @@ impl RecordedLink {
             Report::Held { .. } | Report::PositionUnknown => self.rest(State::Held),
             Report::Alarm { .. } => self.rest(State::Alarmed),
             Report::ClearOfView => self.not_before_ns = self.not_before_ns.min(now_ns),
-            Report::Ready { .. } => {
+            Report::Ready { clear_of_view } => {
                 self.ready = true;
-                self.not_before_ns = self.not_before_ns.min(now_ns);
+                let dwell_ns = if clear_of_view { 0 } else { self.clear_dwell_ns };
+                self.not_before_ns = self.not_before_ns.min(now_ns.saturating_add(dwell_ns));
             }
             Report::Moving { .. } => self.not_before_ns = i64::MAX,
             Report::Done { id } => self.end(id, Outcome::Done, now_ns),
@@ -381,7 +420,7 @@ impl RecordedLink {
         self.last = Some((id, outcome));
         if self.not_before_ns != i64::MAX {
             // No picture from before the end counts, however early the arm was out of the view.
-            self.not_before_ns = now_ns;
+            self.not_before_ns = self.not_before_ns.max(now_ns);
         }
     }
 }

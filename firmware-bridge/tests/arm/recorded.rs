@@ -173,7 +173,8 @@ fn a_recording_that_ends_before_its_target_loses_it() {
     recorded.truncate(moving + 1);
     let mut replay = Replay::new(&recorded);
     replay.make_ready();
-    for id in 1..=Answers::new(&recorded).targets() as u64 {
+    let picks = recorded.iter().filter(|said| matches!(said.what, What::Command(Command::Pick(_)))).count();
+    for id in 1..=picks as u64 {
         let pick = replay.pick(id);
         replay.link.command(Command::Pick(pick), replay.now_ns).unwrap();
         replay.run_until(|r| is_ready(r) || matches!(r, Report::Held { .. }));
@@ -185,6 +186,112 @@ fn a_recording_that_ends_before_its_target_loses_it() {
         panic!("{tail:?}")
     };
     assert_eq!(id, moved);
+}
+
+/// The states after the answers to one target that was done, with `between` said 5 ms after it; then what this run hears.
+fn heard_after(connected: HeldBy, between: &[What]) -> Vec<Report> {
+    let pick = Bench::new(Way::Serial, DialectName::Own, Faults::default()).pick(1);
+    let ready = What::Report(Report::Ready { clear_of_view: true });
+    let head = [
+        What::Report(Report::Connected { session: 9, held_by: connected }),
+        What::Command(Command::Release),
+        ready,
+        What::Command(Command::Pick(pick)),
+        What::Report(Report::Moving { id: 1 }),
+    ];
+    let said = head.iter().chain(between);
+    let recorded: Vec<_> = said.zip(0..).map(|(what, n)| Said { at_ns: n * 5 * MS, what: *what }).collect();
+    let mut replay = Replay::new(&recorded);
+    assert!(replay.run_until(|r| matches!(r, Report::Connected { held_by: HeldBy::Start, .. })));
+    replay.link.command(Command::Release, replay.now_ns).unwrap();
+    assert!(replay.run_until(is_ready));
+    let pick = replay.pick(1);
+    replay.heard.clear();
+    replay.link.command(Command::Pick(pick), replay.now_ns).unwrap();
+    replay.run_until(|_| false);
+    replay.heard.iter().map(|(_, report)| *report).collect()
+}
+
+#[test]
+fn what_only_the_recorded_operator_could_end_does_not_stop_this_run() {
+    let report = What::Report;
+    let (moving, ready) = (Report::Moving { id: 1 }, Report::Ready { clear_of_view: true });
+    let reset = Report::Held { by: HeldBy::ControllerReset };
+    let failed = |failure| Report::Failed { id: 1, failure };
+    for held_by in [HeldBy::Alarm, HeldBy::Command, HeldBy::Operator, HeldBy::RecordingOver, HeldBy::Start] {
+        let done = [report(Report::Done { id: 1 }), report(ready)];
+        assert_eq!(heard_after(held_by, &done), [moving, Report::Done { id: 1 }, ready]);
+    }
+    let alarm = Report::Alarm { code: 1 };
+    let in_alarm = [report(alarm), report(failed(Failure::Alarm))];
+    assert_eq!(heard_after(HeldBy::Start, &in_alarm), [moving, alarm, failed(Failure::Alarm), reset]);
+    let unlocked = [
+        report(Report::Done { id: 1 }),
+        report(ready),
+        report(alarm),
+        report(Report::Held { by: HeldBy::Alarm }),
+    ];
+    assert_eq!(heard_after(HeldBy::Start, &unlocked), [moving, Report::Done { id: 1 }, ready, alarm, reset]);
+    let button = Report::Held { by: HeldBy::Operator };
+    let pressed =
+        [report(button), report(failed(Failure::Held)), What::Command(Command::Release), report(ready)];
+    assert_eq!(heard_after(HeldBy::Start, &pressed), [moving, failed(Failure::Held), ready]);
+    // A target that never ended, with others after it: lost, and on it goes.
+    let next = Bench::new(Way::Serial, DialectName::Own, Faults::default()).pick(2);
+    let silent =
+        [What::Command(Command::Hold), What::Command(Command::Release), What::Command(Command::Pick(next))];
+    assert_eq!(heard_after(HeldBy::Start, &silent), [moving, Report::Lost { id: 1 }, ready]);
+}
+
+#[test]
+fn a_release_of_the_recorded_operators_hold_is_no_answer_to_a_release_of_this_run() {
+    let at = |ms: i64, what| Said { at_ns: ms * MS, what };
+    let ready = What::Report(Report::Ready { clear_of_view: true });
+    let release = What::Command(Command::Release);
+    let connected = What::Report(Report::Connected { session: 9, held_by: HeldBy::Start });
+    let recorded = [
+        at(0, connected),
+        at(1, release),
+        at(2, ready),
+        at(10, What::Command(Command::Hold)),
+        at(11, What::Report(Report::Held { by: HeldBy::Command })),
+        at(20, release),
+        at(120, ready),
+        at(200, connected),
+        at(201, release),
+        at(208, ready),
+    ];
+    let mut replay = Replay::new(&recorded);
+    for expected_ms in [1, 7] {
+        assert!(replay.run_until(|r| matches!(r, Report::Connected { .. })));
+        let released_ns = replay.now_ns;
+        replay.link.command(Command::Release, released_ns).unwrap();
+        assert!(replay.run_until(is_ready));
+        assert_eq!((replay.now_ns - released_ns) / MS, expected_ms);
+        replay.link.command(Command::Hello, replay.now_ns).unwrap();
+    }
+}
+
+#[test]
+fn an_arm_that_does_not_say_when_it_is_clear_gets_its_dwell() {
+    let mut recorded = conversation(DialectName::Own, 1);
+    for said in &mut recorded {
+        if let What::Report(Report::Ready { clear_of_view }) = &mut said.what {
+            *clear_of_view = false;
+        }
+    }
+    recorded.retain(|said| said.what != What::Report(Report::ClearOfView));
+    let mut settings = settings(DialectName::Own);
+    settings.arm.clear_dwell_ms = 300;
+    let mut replay = Replay::new(&[]);
+    replay.link = RecordedLink::new(&settings, Answers::new(&recorded), 40);
+    replay.make_ready();
+    replay.now_ns += 200 * MS;
+    let early = replay.pick(1);
+    assert_eq!(replay.link.command(Command::Pick(early), replay.now_ns), Err(Refusal::SeenTooEarly));
+    replay.now_ns += 200 * MS;
+    let pick = replay.pick(1);
+    assert_eq!(replay.link.command(Command::Pick(pick), replay.now_ns), Ok(()));
 }
 
 #[test]
