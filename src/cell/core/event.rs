@@ -110,8 +110,6 @@ pub enum Nothing {
     BadPicture,
     /// A picture goes over a stated limit (all white, too many nodes).
     OverLimits,
-    /// The two pictures do not fit the calibration any more.
-    CalibrationDrifted,
     /// Parts were recognised, but cell.toml does not say where the cameras stand (`rig.base_from_left`).
     NoBase,
 }
