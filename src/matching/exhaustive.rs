@@ -12,6 +12,8 @@
 //! same pose with less to prove it. Where a left-out anchor has a candidate that goes with all that may still be
 //! matched, and costs less than leaving it out whatever that will be, all below is such a part and is not visited.
 //!
+//! Parts of two nodes, which all straight wires are, need none of this: their pairs are listed in `pairs.rs`.
+//!
 //! ```
 //! use pickcell::matching::drawn::DrawnScene;
 //! use pickcell::matching::exhaustive::{Exhaustive, Limits};
@@ -32,6 +34,7 @@ use super::fitness::{Judge, StereoMatch, Terms, UNMATCHED, may_be};
 use super::found::Found;
 use super::measures::{Measured, Measures};
 use super::neighbours::Neighbours;
+use super::pairs::is_pair;
 use super::problem::ANCHORS_MAX;
 use super::rows::{self, CHUNK};
 use crate::part::EDGES_MAX;
@@ -49,10 +52,20 @@ pub struct Limits {
     pub steps_max: u64,
 }
 
+impl Limits {
+    /// Counts a step, if there is one left.
+    #[inline]
+    pub(super) fn allow_step(&self, steps: &mut u64) -> bool {
+        let allowed = *steps != self.steps_max && !self.budget.is_spent(*steps);
+        *steps += allowed as u64;
+        allowed
+    }
+}
+
 /// Workspace of the exact search.
 #[derive(Clone, Debug)]
 pub struct Exhaustive {
-    level: Level,
+    pub(super) level: Level,
     pub(super) neighbours: Neighbours,
     pub(super) measures: Measures,
     /// For every depth and anchor a row of one bit a candidate: what the anchor may still be.
@@ -63,8 +76,8 @@ pub struct Exhaustive {
     joints: Vec<(u16, u16)>,
     joints_from: [u32; ANCHORS_MAX + 1],
     nodes_max: usize,
-    steps: u64,
-    complete: bool,
+    pub(super) steps: u64,
+    pub(super) complete: bool,
 }
 
 impl Exhaustive {
@@ -108,6 +121,15 @@ impl Exhaustive {
             self.complete = false;
             return;
         }
+        if is_pair(judge.model) {
+            self.run_pairs(judge, candidates, limits, found);
+        } else {
+            self.run_tree(judge, candidates, limits, found);
+        }
+    }
+
+    fn run_tree(&mut self, judge: &Judge, candidates: &Candidates, limits: Limits, found: &mut Found) {
+        let anchors = judge.model.anchors.len();
         self.join(judge);
         self.neighbours.begin(judge.model, candidates, judge.length_tolerance_mm);
         self.measures.begin(judge, found.threshold(limits.fitness_max) * ROUNDING);
@@ -146,7 +168,7 @@ impl Exhaustive {
 }
 
 /// The rounding of a bound must not cost a match.
-const ROUNDING: f64 = 1.0 + 1e-6;
+pub(super) const ROUNDING: f64 = 1.0 + 1e-6;
 
 /// What the matched nodes cost already, before weights and means.
 #[derive(Clone, Copy, Debug, Default)]
@@ -305,12 +327,10 @@ impl Tree<'_, '_> {
     /// Matches candidate `n` with `anchor` and goes on from there.
     #[inline]
     fn step(&mut self, depth: usize, anchor: usize, n: usize, rest: u32, cost: Cost) {
-        let steps = self.search.steps;
-        if steps == self.limits.steps_max || self.limits.budget.is_spent(steps) {
+        if !self.limits.allow_step(&mut self.search.steps) {
             self.search.complete = false;
             return;
         }
-        self.search.steps += 1;
         if self.is_out_of_length(anchor, n, cost) {
             return;
         }

@@ -74,29 +74,38 @@ impl Measures {
         self.slots[slot].1
     }
 
-    /// What is cheap comes first. The other spans can only thin a cost out to its share of the mean.
     #[inline(never)]
     fn measure(&self, judge: &Judge, all: &[Candidate], k: usize, from: u16, to: u16) -> Option<Measured> {
-        let (span, w) = (&judge.model.spans[k], &judge.weights);
-        let (from, to) = (&all[from as usize], &all[to as usize]);
-        let length_3d_mm = judge.length_3d_mm(span, from, to);
-        let mut left = self.cost_max - length_3d_mm as f64 * w.length_3d_per_mm / self.spans;
-        if left <= 0.0 {
-            return None;
-        }
-        let length_2d_px = judge.length_2d_px(span, from, to);
-        left -= length_2d_px as f64 * w.length_2d_per_px / (2.0 * self.spans);
-        if left <= 0.0 {
-            return None;
-        }
-        let enough = ((left * self.looks / w.missing) as u32).min(span.looks);
-        let missing = judge.missing(span, from, to, enough);
-        (missing <= enough && !is_bare(span, missing)).then_some(Measured {
-            length_3d_mm,
-            length_2d_px,
-            missing,
-        })
+        let ends = [&all[from as usize], &all[to as usize]];
+        measure(judge, &judge.model.spans[k], ends, self.cost_max, self.spans, self.looks)
     }
+}
+
+/// What a span costs between two candidates; `None` where it is `left` or more, as one of `spans` spans with together
+/// `looks` looks. What is cheap comes first. The other spans can only thin a cost out to its share of the mean.
+#[inline]
+pub(super) fn measure(
+    judge: &Judge,
+    span: &Span,
+    [from, to]: [&Candidate; 2],
+    mut left: f64,
+    spans: f64,
+    looks: f64,
+) -> Option<Measured> {
+    let w = &judge.weights;
+    let length_3d_mm = judge.length_3d_mm(span, from, to);
+    left -= length_3d_mm as f64 * w.length_3d_per_mm / spans;
+    if left <= 0.0 {
+        return None;
+    }
+    let length_2d_px = judge.length_2d_px(span, from, to);
+    left -= length_2d_px as f64 * w.length_2d_per_px / (2.0 * spans);
+    if left <= 0.0 {
+        return None;
+    }
+    let enough = ((left * looks / w.missing) as u32).min(span.looks);
+    let missing = judge.missing(span, from, to, enough);
+    (missing <= enough && !is_bare(span, missing)).then_some(Measured { length_3d_mm, length_2d_px, missing })
 }
 
 impl Default for Measures {

@@ -23,6 +23,7 @@ pub mod measures;
 pub mod neighbours;
 pub mod nodes;
 pub mod open;
+mod pairs;
 pub mod placement;
 pub mod pool;
 pub mod problem;
