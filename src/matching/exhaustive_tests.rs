@@ -6,6 +6,7 @@ use super::*;
 use crate::matching::candidates::Candidate;
 use crate::matching::drawn::DrawnScene;
 use crate::matching::nodes::NodeRole;
+use crate::time::Budget;
 
 /// All matches under the threshold but those that are part of one with one node more and no worse, by trying
 /// everything.

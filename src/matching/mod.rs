@@ -17,6 +17,7 @@ pub mod harmony;
 pub mod hypotheses;
 pub mod improved;
 pub mod length_table;
+mod limits;
 pub mod lines;
 pub mod looks;
 pub mod measures;
