@@ -1,14 +1,15 @@
 #!/usr/bin/env bash
 # Installs what the build needs and this machine lacks, with apt, and says what. Asks nothing. What is there stays.
 #   cc, pkg-config    the linker, and crates that build C
-#   libclang          reads the system's headers while v4l and iceoryx2 are built
+#   libclang          reads the system's headers while v4l and iceoryx2 are built (libclang-cpp is another library)
 # Without apt, or without the right to use it, it says what to install and ends with exit code 1.
 set -euo pipefail
 
 has_libclang() {
     [ -n "${LIBCLANG_PATH:-}" ] && return 0
     local found
-    found=$(find /usr/lib /usr/lib64 /usr/local/lib -maxdepth 4 -name 'libclang*.so*' -print -quit 2>/dev/null || true)
+    found=$(find /usr/lib /usr/lib64 /usr/local/lib -maxdepth 4 -xtype f \
+        \( -name 'libclang.so*' -o -name 'libclang-[0-9]*.so*' \) -print -quit 2>/dev/null || true)
     [ -n "$found" ]
 }
 
