@@ -29,8 +29,8 @@
 //! [`recognize`] composes the stages from pixels to grasps. A stage has one shape: `Params`, a workspace that owns all
 //! its memory, `new`, `run`; each is usable as a library without a cell.toml. The threads, and a fifth for what is cold
 //! (printing, drawing, writing), are those of [`cell::threads`], which carries letters between them and decides
-//! nothing. With two recognition threads the two pictures of a pair go through all stages up to the graph at the same
-//! time.
+//! nothing. With `recognition.threads = 2` a sixth takes the right picture of each pair through all stages up to the
+//! graph, while the recognise thread takes the left one ([`hands`]).
 //!
 //! # The rooms
 //!
@@ -44,6 +44,7 @@
 //! | [`time`] | time stamps, [`Budget`](time::Budget); the only room that reads a clock | leaf |
 //! | [`frame`] | pictures with format, stride, colour encoding and time stamp | leaf |
 //! | [`handover`] | frames from thread to thread; the newest wins, the rest is counted | leaf |
+//! | [`hands`] | one half of a job done by a second thread | leaf |
 //! | [`rig`] | intrinsics, distortion, stereo geometry, calibration files | leaf |
 //! | [`part`] | part models: nodes, edges, thickness, grasp, symmetries | leaf |
 //! | [`camera`] | V4L2 cameras, recorded sessions as cameras, the frame pool | edge |
@@ -75,6 +76,7 @@ pub mod files;
 pub mod frame;
 pub mod grasp;
 pub mod handover;
+pub mod hands;
 pub mod matching;
 pub mod part;
 pub mod picture;

@@ -75,6 +75,26 @@ fn the_counter_counts() {
 }
 
 #[test]
+fn shared_work_allocates_nothing_in_either_thread() {
+    let (mut owner, helper) = pickcell::hands::hands().expect("descriptors");
+    let thread = std::thread::spawn(move || helper.work());
+    let mut count = || {
+        let mut there = 0;
+        let here = allocations_of(|| {
+            let begun = || ALLOCATIONS.with(Cell::get);
+            (_, there) = owner.both(|| (), begun);
+        });
+        (here, there)
+    };
+    let (_, before) = count();
+    for _ in 0..100 {
+        assert_eq!(count(), (0, before));
+    }
+    drop(owner);
+    thread.join().expect("no panic");
+}
+
+#[test]
 fn binarize_allocates_nothing_after_new() {
     let region = vec![[10.0, 10.0], [300.0, 5.0], [310.0, 230.0], [5.0, 220.0]];
     let colours = [

@@ -4,6 +4,7 @@
 //! |---|---|---|---|
 //! | left, right | wait for a frame, hand it over | the camera | `grab_priority` |
 //! | recognise | recognise a pair, kick the watchdog | an eventfd | `recognise_priority` |
+//! | recognise-2, where wanted | the right picture of each pair | an eventfd | `recognise_priority` |
 //! | arm | the core, the link to the arm | an eventfd and the link | `arm_priority` |
 //! | cold | print, write, have pictures drawn and recorded by threads of the command | an eventfd | none |
 //!
@@ -30,6 +31,7 @@ use crate::arm::Arm;
 use crate::camera::{Camera, Grab, Side};
 use crate::frame::Frame;
 use crate::handover::Waker;
+use crate::hands;
 use crate::recognize::Recognizer;
 use crate::time::Timestamp;
 
@@ -102,6 +104,8 @@ pub struct Wishes {
     pub grab: Wish,
     /// The recognise thread.
     pub recognise: Wish,
+    /// The thread that shares the pictures with it.
+    pub second: Wish,
     /// The arm's thread.
     pub arm: Wish,
     /// Stack of each of them, bytes.
@@ -137,6 +141,8 @@ pub struct Live {
     pub steps: Option<[Arc<Waker>; 2]>,
     /// The recogniser.
     pub recognizer: Recognizer,
+    /// The thread that its pictures are shared with, if any.
+    pub second: Option<hands::Helper>,
     /// Grasps are given in the robot's base.
     pub in_base: bool,
     /// The decisions.
@@ -195,6 +201,7 @@ where
         cameras,
         steps,
         mut recognizer,
+        second,
         in_base,
         core,
         arm,
@@ -217,6 +224,9 @@ where
             let _guard = StopOnPanic(controls);
             recognise_loop(bench, ordered, recognise, &mut recognizer, in_base);
         })?;
+        if let Some(second) = second {
+            hot(scope, "recognise-2", stack, &wishes.second, told, move || second.work())?;
+        }
         for ((side, mut camera), mut seat) in Side::BOTH.into_iter().zip(cameras).zip(grabs) {
             hot(scope, side.name(), stack, &wishes.grab, told, move || {
                 let _guard = StopOnPanic(controls);

@@ -114,7 +114,7 @@ pub struct Recognition {
     pub iterations: Option<u64>,
     /// A candidate with a higher fitness is no part. `None`: the recogniser's own threshold.
     pub fitness_max: Option<f64>,
-    /// Threads that `recognize` works on the two pictures with, 1 or 2; a running cell uses one.
+    /// Threads that the two pictures of a pair are shared by, 1 or 2.
     pub threads: u8,
 }
 

@@ -1,7 +1,6 @@
 //! Recognition: a pair of pictures in, ranked grasps out. Composes the stages; each is a library of its own.
 //!
-//! Nothing is kept from one pair to the next. After `new` nothing is allocated, except for JPEG other than baseline and
-//! with two threads.
+//! Nothing is kept from one pair to the next. After `new` nothing is allocated, except for JPEG other than baseline.
 
 mod explanations;
 mod found;
@@ -16,6 +15,7 @@ use arrayvec::ArrayVec;
 
 use crate::frame::{FramePair, LumaView};
 use crate::grasp::{self, Blocked, Placed};
+use crate::hands;
 use crate::matching::fitness::Judge;
 use crate::matching::hypotheses::{self, Hypothesis};
 use crate::matching::lines::{self, Lines};
@@ -53,6 +53,7 @@ pub struct Recognizer {
     areas: [ridge::Area; 2],
     lines: Lines,
     explanations: Explanations,
+    second: Option<hands::Owner>,
 }
 
 impl Recognizer {
@@ -79,7 +80,14 @@ impl Recognizer {
             params,
             rig,
             parts,
+            second: None,
         })
+    }
+
+    /// Has a second thread work on the right picture of each pair while this one works on the left. The result does not
+    /// depend on it.
+    pub fn share_with(&mut self, second: hands::Owner) {
+        self.second = Some(second);
     }
 
     /// The rig.
@@ -145,20 +153,17 @@ impl Recognizer {
     /// Takes both pictures through their stages.
     fn look(&mut self, pair: &FramePair, stages: &mut StageTimes) -> Result<(), Refusal> {
         let [left, right] = &mut self.pictures;
-        if self.params.threads < 2 {
-            left.run(&pair.left, Side::Left, stages)?;
-            return right.run(&pair.right, Side::Right, stages);
-        }
         let mut of_right = StageTimes::default();
-        let (left, right) = std::thread::scope(|scope| {
-            let right = scope.spawn(|| right.run(&pair.right, Side::Right, &mut of_right));
-            let left = left.run(&pair.left, Side::Left, stages);
-            (left, right.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
-        });
-        stages.decode_ns += of_right.decode_ns;
-        stages.binarize_ns += of_right.binarize_ns;
-        stages.thin_ns += of_right.thin_ns;
-        stages.graph_ns += of_right.graph_ns;
+        let mut look_right = || right.run(&pair.right, Side::Right, &mut of_right);
+        let mut look_left = || left.run(&pair.left, Side::Left, stages);
+        let Some(second) = &mut self.second else {
+            look_left()?;
+            look_right()?;
+            stages.with(&of_right, |left, right| left + right);
+            return Ok(());
+        };
+        let (left, right) = second.both(look_left, look_right);
+        stages.with(&of_right, u64::max);
         left.and(right)
     }
 

@@ -39,9 +39,6 @@ pub struct Params {
     pub select: select::Params,
     /// What limits the grasps.
     pub grasp: grasp::Params,
-    /// Threads that work on the pictures of a pair: 1, or 2. The second is begun for every pair, which allocates: it is
-    /// for recorded pictures, not for a cell. The result does not depend on it.
-    pub threads: u8,
 }
 
 impl Default for Params {
@@ -61,7 +58,6 @@ impl Default for Params {
             slope_rad_max: 50f64.to_radians(),
             select: Default::default(),
             grasp: Default::default(),
-            threads: 1,
         }
     }
 }

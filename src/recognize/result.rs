@@ -148,8 +148,7 @@ pub struct FoundPart {
     pub clear: f64,
 }
 
-/// Time of each stage in nanoseconds, the sum of both pictures; `total_ns` is from beginning to end, whatever the number of
-/// threads.
+/// Wall time of each stage in nanoseconds: the sum of both pictures, or the longer one where two threads share them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StageTimes {
     /// Decompression.
@@ -166,6 +165,16 @@ pub struct StageTimes {
     pub pose_ns: u64,
     /// All of it.
     pub total_ns: u64,
+}
+
+impl StageTimes {
+    /// Puts the stages of the right picture with those of the left.
+    pub(super) fn with(&mut self, right: &Self, together: impl Fn(u64, u64) -> u64) {
+        self.decode_ns = together(self.decode_ns, right.decode_ns);
+        self.binarize_ns = together(self.binarize_ns, right.binarize_ns);
+        self.thin_ns = together(self.thin_ns, right.thin_ns);
+        self.graph_ns = together(self.graph_ns, right.graph_ns);
+    }
 }
 
 impl Recognition {

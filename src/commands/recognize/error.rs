@@ -26,6 +26,9 @@ pub enum RecognizeError {
     /// Colour range or region.
     #[error(transparent)]
     Params(#[from] ParamsError),
+    /// The system has no descriptor or thread left.
+    #[error("--threads 2: the system refuses a second thread: {0}; use --threads 1")]
+    System(io::Error),
     /// No pictures were named.
     #[error("no pictures: give --left and --right, or --pairs with a folder of pairs")]
     NoPictures,

@@ -8,6 +8,7 @@ mod setup;
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::thread::Builder;
 
 pub use args::RecognizeArgs;
 pub use error::RecognizeError;
@@ -18,6 +19,7 @@ use self::setup::Setup;
 use super::pictures::{PairFiles, decoded, read_pair};
 use crate::files::write_atomically;
 use crate::frame::{Frame, FramePair};
+use crate::hands;
 use crate::recognize::{Recognition, Recognizer, Refusal, StageTimes};
 use crate::report::overlay::Overlay;
 use crate::report::{Canvas, stages};
@@ -28,7 +30,12 @@ use crate::report::{Canvas, stages};
 /// [`RecognizeError`]; its exit code says whether the job or what was given to it is to blame.
 pub fn run(args: &RecognizeArgs) -> Result<(), RecognizeError> {
     let setup = Setup::new(args)?;
-    let recognizer = Recognizer::new(setup.params.clone(), setup.rig, setup.parts.clone())?;
+    let mut recognizer = Recognizer::new(setup.params.clone(), setup.rig, setup.parts.clone())?;
+    if setup.threads > 1 {
+        let (owner, helper) = hands::hands().map_err(RecognizeError::System)?;
+        Builder::new().spawn(move || helper.work()).map_err(RecognizeError::System)?;
+        recognizer.share_with(owner);
+    }
     let mut job = Job { args, setup: &setup, recognizer, found: Recognition::default(), runs: Vec::new() };
     let mut failed = 0;
     for pair in &setup.pairs {

@@ -46,6 +46,8 @@ pub(super) struct Setup {
     pub(super) parts: Vec<Part>,
     pub(super) limit: Limit,
     pub(super) seed: u64,
+    /// Threads that share the two pictures of a pair, 1 or 2.
+    pub(super) threads: u8,
     pub(super) base_from_left: Option<Isometry3<f64>>,
     pub(super) pairs: Vec<PairFiles>,
     /// Whether a folder was given: a bad pair is then a line, not the end.
@@ -74,6 +76,7 @@ impl Setup {
             parts,
             limit: limit(args, cell),
             seed: args.seed.or(recognition.map(|r| r.seed)).unwrap_or(1),
+            threads: args.threads.or(recognition.map(|r| r.threads)).unwrap_or(1),
             base_from_left: cell.and_then(|c| c.rig.base_from_left),
             pairs,
             many,
@@ -132,8 +135,6 @@ fn params(args: &RecognizeArgs, cell: Option<&Cell>) -> Params {
     if let Some(gate) = args.gate {
         params.gate.mode = Gate::from(gate).into();
     }
-    let of_cell = cell.map(|cell| cell.recognition.threads);
-    params.threads = args.threads.or(of_cell).unwrap_or(params.threads);
     params
 }
 

@@ -20,6 +20,7 @@ use crate::cell::realtime::{Wish, hot_cores};
 use crate::cell::threads::Wishes;
 use crate::config::{self, Backend, Cell, PlaceGrid, Realtime, Scheduling};
 use crate::handover::Waker;
+use crate::hands;
 use crate::part::Part;
 use crate::recognize::Recognizer;
 use crate::rig::Rig;
@@ -55,6 +56,8 @@ pub(super) struct Setup {
     pub(super) cameras: [Camera; 2],
     pub(super) steps: Option<[Arc<Waker>; 2]>,
     pub(super) recognizer: Recognizer,
+    /// The thread that its pictures are shared with, if any.
+    pub(super) second: Option<hands::Helper>,
     pub(super) desk: Arc<Desk>,
     pub(super) seats: Seats,
     pub(super) wishes: Wishes,
@@ -85,7 +88,7 @@ impl Setup {
         let cell = Cell::read(&args.cell)?;
         let rig = Rig::read(&cell.rig.calibration)?;
         let parts = Part::read_all(&cell.recognition.parts)?;
-        let recognizer = Recognizer::new(cell.recognition_params(), rig, parts.clone())?;
+        let mut recognizer = Recognizer::new(cell.recognition_params(), rig, parts.clone())?;
         let mut cell = cell;
         if args.soak.is_some() {
             // Nobody empties the tray of a soak.
@@ -101,6 +104,12 @@ impl Setup {
         let fast = args.soak.is_none()
             && cell.cameras.backend == Backend::Replay
             && cell.cameras.pace == config::Pace::Fast;
+        let mut second = None;
+        if cell.recognition.threads > 1 && !fast {
+            let (owner, helper) = hands::hands().map_err(RunError::System)?;
+            recognizer.share_with(owner);
+            second = Some(helper);
+        }
         let eyes = eyes(args, &cell, fast)?;
         let mut arm = match simulated && args.soak.is_none() && !eyes.arm.is_empty() {
             true => {
@@ -137,6 +146,7 @@ impl Setup {
             cameras,
             steps,
             recognizer,
+            second,
             desk,
             seats,
             wishes,
@@ -298,6 +308,8 @@ fn wishes(realtime: &Realtime) -> Wishes {
     Wishes {
         grab: wish(realtime.grab_priority),
         recognise: wish(realtime.recognise_priority),
+        // It has work for a moment a pair, so that it may have the core that is else left alone, too.
+        second: Wish { cores: realtime.cores.clone(), ..wish(realtime.recognise_priority) },
         arm: wish(realtime.arm_priority),
         stack_bytes,
     }
