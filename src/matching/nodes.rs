@@ -160,23 +160,31 @@ impl ImageNodes {
         if chain.len() < 2 * arm + 1 {
             return;
         }
-        let turn_at = |i: usize| {
+        let around = |i: usize| {
             let (a, b, c) = (vector(chain[i - arm]), vector(chain[i]), vector(chain[i + arm]));
-            angle_between(b - a, c - b)
+            (b - a, c - b)
         };
+        let turn_at = |i: usize| {
+            let (before, after) = around(i);
+            angle_between(before, after)
+        };
+        let (sin, cos) = self.params.bend_angle_rad_min.sin_cos();
         let mut i = arm;
         while i + arm < chain.len() {
-            if turn_at(i) < self.params.bend_angle_rad_min {
+            // The sine of the angle by which the turn is more than the least.
+            let (before, after) = around(i);
+            if before.perp(&after).abs() * cos < before.dot(&after) * sin {
                 i += 1;
                 continue;
             }
             // The middle of the stretch that turns, weighted by how much it turns.
             let (mut weight, mut sum, begin) = (0.0, 0.0, i);
-            while i + arm < chain.len()
-                && i - begin <= 2 * arm
-                && turn_at(i) >= 0.6 * self.params.bend_angle_rad_min
-            {
-                let w = turn_at(i).powi(2);
+            while i + arm < chain.len() && i - begin <= 2 * arm {
+                let turn = turn_at(i);
+                if turn < 0.6 * self.params.bend_angle_rad_min {
+                    break;
+                }
+                let w = turn.powi(2);
                 weight += w;
                 sum += w * i as f64;
                 i += 1;

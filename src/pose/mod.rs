@@ -5,5 +5,6 @@ pub mod model;
 pub mod refine;
 pub mod section;
 pub mod shading;
+mod sweep;
 pub mod verify;
 pub mod width;

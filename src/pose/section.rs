@@ -12,7 +12,7 @@ use crate::vision::bits::{BitImage, nearest};
 
 const SAMPLES_MAX: usize = 96;
 /// Steps from one outline to the other in which the light between them is added up.
-const SKEW_SAMPLES: u32 = 12;
+const SKEW_STEPS: usize = 12;
 /// How far behind an end it must be floor, in pixels.
 const BEHIND_END_PX: f64 = 4.0;
 /// How bright it may be behind an end, from floor (0) to wire (1).
@@ -122,15 +122,15 @@ impl<'a> Profiler<'a> {
         if !self.inside(middle - reach) || !self.inside(middle + reach) {
             return None;
         }
-        let light = |share: f64| {
-            let at = middle + reach * share;
-            self.sign * f64::from(self.luma.sample(at.x as f32, at.y as f32))
-        };
-        let floor = (light(-1.0) + light(1.0)) / 2.0;
+        let mut light = [0f32; SKEW_STEPS + 1];
+        let step = reach * (2.0 / SKEW_STEPS as f64);
+        self.luma.add_line((middle - reach).into(), step.into(), &mut light);
+        let light = light.map(|l| self.sign * f64::from(l));
+        let floor = (light[0] + light[SKEW_STEPS]) / 2.0;
         let (mut sum, mut moment) = (0.0, 0.0);
-        for k in 1..SKEW_SAMPLES {
-            let share = 2.0 * f64::from(k) / f64::from(SKEW_SAMPLES) - 1.0;
-            let above = (light(share) - floor).max(0.0);
+        for (k, light) in light.iter().enumerate().take(SKEW_STEPS).skip(1) {
+            let share = 2.0 * k as f64 / SKEW_STEPS as f64 - 1.0;
+            let above = (light - floor).max(0.0);
             sum += above;
             moment += above * share;
         }
@@ -278,6 +278,11 @@ fn outline(profile: &[u8], window: Range<usize>, span: usize, contrast_min: f64)
     let level = f64::from(profile[peak]);
     let half_way =
         |floor: u8| (level - f64::from(floor) >= contrast_min).then(|| (level + f64::from(floor)) / 2.0);
+    // Twice as much is a whole number.
+    let falls_to = |at: f64| {
+        let twice = (2.0 * at) as u16;
+        move |value: u8| 2 * u16::from(value) <= twice
+    };
     // Between a sample above and its neighbour at or below the level `at`.
     let crossing = |above: usize, below: usize, at: f64| {
         let (a, b) = (f64::from(profile[above]), f64::from(profile[below]));
@@ -285,12 +290,14 @@ fn outline(profile: &[u8], window: Range<usize>, span: usize, contrast_min: f64)
     };
     let low_end = peak.saturating_sub(span);
     let low = half_way(*profile[low_end..=peak].iter().min()?).and_then(|at| {
-        let below = (low_end..peak).rev().find(|&i| f64::from(profile[i]) <= at)?;
+        let fallen = falls_to(at);
+        let below = (low_end..peak).rev().find(|&i| fallen(profile[i]))?;
         Some(crossing(below + 1, below, at))
     });
     let high_end = (peak + span).min(profile.len() - 1);
     let high = half_way(*profile[peak..=high_end].iter().min()?).and_then(|at| {
-        let below = (peak + 1..=high_end).find(|&i| f64::from(profile[i]) <= at)?;
+        let fallen = falls_to(at);
+        let below = (peak + 1..=high_end).find(|&i| fallen(profile[i]))?;
         Some(crossing(below - 1, below, at))
     });
     (low.is_some() || high.is_some()).then_some(Fall { low, high })
@@ -304,9 +311,12 @@ pub fn mask_run(
     across: Vector2<f64>,
     search_px: f64,
 ) -> Option<(f64, f64)> {
+    // In 1/65536 pixels, half a pixel on, so that what is before the point is the nearest pixel.
+    let fixed = |v: f64| (v * 65536.0) as i64;
+    let ([x, y], [dx, dy]) = ([origin.x, origin.y].map(|v| fixed(v + 0.5)), [across.x, across.y].map(fixed));
     let object = |t: i32| {
-        let p = origin + across * (t as f64);
-        mask.get(nearest(p.x), nearest(p.y))
+        let at = |from: i64, step: i64| ((from + step * i64::from(t)) >> 16) as i32;
+        mask.get(at(x, dx), at(y, dy))
     };
     let search = search_px as i32;
     let start =

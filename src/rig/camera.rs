@@ -97,9 +97,17 @@ impl CameraModel {
         if self.distortion == [0.0; 14] {
             return target;
         }
-        let mut norm = self.fixed_point_start(target);
+        // Two rounds of x = (target - tangential) / radial, or the target itself where that leaves the plane.
+        let at_target = self.distort_norm(target);
+        let closer = target - (at_target - target);
+        let mut norm = target - (self.distort_norm(closer) - closer);
         let (mut value, mut jacobian) = self.distort_norm_with_jacobian(norm);
         let mut error = (value - target).norm();
+        let start_error = (at_target - target).norm();
+        if error.is_nan() || error >= start_error {
+            (norm, error) = (target, start_error);
+            (value, jacobian) = self.distort_norm_with_jacobian(norm);
+        }
         for _ in 0..NEWTON_STEPS {
             if error <= TOLERANCE {
                 break;
@@ -124,17 +132,6 @@ impl CameraModel {
             }
         }
         norm
-    }
-
-    /// Two rounds of x = (target - tangential) / radial, or the target itself where that leaves the plane.
-    fn fixed_point_start(&self, target: Vector2<f64>) -> Vector2<f64> {
-        let mut norm = target;
-        for _ in 0..2 {
-            let offset = self.distort_norm(norm) - norm;
-            norm = target - offset;
-        }
-        let better = (self.distort_norm(norm) - target).norm() < (self.distort_norm(target) - target).norm();
-        if better { norm } else { target }
     }
 
     /// Mean focal length in pixels.

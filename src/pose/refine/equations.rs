@@ -114,6 +114,11 @@ impl Equations {
         Self { level, blocks: Vec::with_capacity(MEASUREMENTS_MAX / LANES), count: 0 }
     }
 
+    /// The instructions it uses.
+    pub(super) fn level(&self) -> Level {
+        self.level
+    }
+
     pub(super) fn clear(&mut self) {
         self.blocks.clear();
         self.count = 0;

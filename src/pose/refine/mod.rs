@@ -22,9 +22,10 @@ use equations::{Doubt, Equations, MEASUREMENTS_MAX, Measurement, Solution};
 pub use params::Params;
 
 use super::aim::{aim, end_is_bare, mask_beyond_px, up};
-use super::model::PoseModel;
+use super::model::{PoseModel, Station};
 use super::section::{EndLook, Profiler, Section, mask_run};
 use super::shading::Shading;
+use super::sweep::{Expected, LANES, Sweep};
 use super::width::UsualWidth;
 use crate::rig::{CameraModel, Rig};
 use crate::vision::bits::{BitImage, nearest};
@@ -194,6 +195,10 @@ impl Refine {
         Some(Fit { left_from_part: pose, misfit: solution.misfit, believed: solution.believed })
     }
 
+    fn sweep(&self, model: &PoseModel, pose: &Isometry3<f64>) -> Sweep {
+        Sweep::new(self.equations.level(), model, pose, self.eye, self.params.lift_radii)
+    }
+
     /// Share of the wire, the mean of both pictures, where the masks have nothing.
     fn missing(&self, model: &PoseModel, pose: &Isometry3<f64>, views: &[View; 2]) -> f64 {
         let (mut looked, mut missing) = (0u32, 0u32);
@@ -230,27 +235,24 @@ impl Refine {
     }
 
     fn look(&mut self, model: &PoseModel, pose: &Isometry3<f64>, views: &[View; 2], search_px: f64) {
-        let centre = pose * model.centre_mm;
-        let Self { sightings, params, eye, .. } = self;
+        let sweep = self.sweep(model, pose);
+        let Self { sightings, .. } = self;
         sightings.clear();
-        for station in model.stations.iter().take(STATIONS_MAX) {
-            let (point, tangent) = (pose * station.position_mm, pose.rotation * station.tangent);
-            let raised = up(eye, &point, &tangent) * model.radius_mm;
-            let lifted = point + raised * params.lift_radii;
-            sightings.push([0, 1].map(|side| {
-                let view = &views[side];
-                let aim = aim(model.radius_mm, &lifted, &tangent, view)?;
-                Some(Sighting {
-                    section: view.profiler.across(aim.px, aim.across, aim.half_width_px, search_px),
-                    object: view.mask.get(nearest(aim.px.x), nearest(aim.px.y)),
-                    expected_px: aim.px,
-                    across: aim.across,
-                    half_width_px: aim.half_width_px,
-                    lift_px: (aim.jacobian * raised).dot(&aim.across),
-                    gradient: aim.gradient(&aim.across, &(point - centre)),
-                })
-            }));
-        }
+        let stations = model.stations.iter().take(STATIONS_MAX);
+        sightings.resize(stations.len(), [None; 2]);
+        each_expected(&sweep, stations, views, |k, side, there| {
+            let Expected { px, across, half_width_px, lift_px, gradient } = there;
+            let view = &views[side];
+            sightings[k][side] = Some(Sighting {
+                section: view.profiler.across(px, across, half_width_px, search_px),
+                object: view.mask.get(nearest(px.x), nearest(px.y)),
+                expected_px: px,
+                across,
+                half_width_px,
+                lift_px,
+                gradient,
+            });
+        });
         self.look_at_ends(model, pose, views, search_px + 3.5, EndLook::Close);
     }
 
@@ -296,29 +298,23 @@ impl Refine {
     }
 
     fn observe_masks(&mut self, model: &PoseModel, pose: &Isometry3<f64>, views: &[View; 2], search_px: f64) {
-        self.equations.clear();
-        let centre = pose * model.centre_mm;
-        for station in model.stations.iter().step_by(COARSE_STRIDE).filter(|s| !s.at_joint) {
-            let (point, tangent) = (pose * station.position_mm, pose.rotation * station.tangent);
-            let lifted = point + up(&self.eye, &point, &tangent) * (self.params.lift_radii * model.radius_mm);
-            for (side, view) in views.iter().enumerate() {
-                let Some(aim) = aim(model.radius_mm, &lifted, &tangent, view) else { continue };
-                let Some((middle, width)) = mask_run(view.mask, aim.px, aim.across, search_px) else {
-                    continue;
-                };
-                if width > 3.2 * aim.half_width_px + 1.0 {
-                    continue;
-                }
-                let gradient = aim.gradient(&aim.across, &(point - centre));
-                self.equations.push(&Measurement {
-                    residual_px: middle,
-                    gradient,
-                    sigma_px: 2.0 * self.params.section_sigma_px,
-                    patience: 1.0,
-                    shaded: model.straight_along.map(|_| side),
-                });
-            }
-        }
+        let sweep = self.sweep(model, pose);
+        let Self { equations, params, .. } = self;
+        equations.clear();
+        let stations = model.stations.iter().step_by(COARSE_STRIDE).filter(|s| !s.at_joint);
+        each_expected(&sweep, stations, views, |_, side, there| {
+            let run = mask_run(views[side].mask, there.px, there.across, search_px);
+            let Some((middle, _)) = run.filter(|(_, width)| *width <= 3.2 * there.half_width_px + 1.0) else {
+                return;
+            };
+            equations.push(&Measurement {
+                residual_px: middle,
+                gradient: there.gradient,
+                sigma_px: 2.0 * params.section_sigma_px,
+                patience: 1.0,
+                shaded: model.straight_along.map(|_| side),
+            });
+        });
         self.look_at_ends(model, pose, views, search_px + 4.0, EndLook::Quick);
         let Self { equations, ends, params, .. } = self;
         measure_ends(params, ends, |measurement, _| equations.push(&measurement));
@@ -397,6 +393,33 @@ impl Refine {
             half_width_px: aim.half_width_px,
             ..Sighting::default()
         })
+    }
+}
+
+/// Gives where each station is expected, where that is in front of the camera: with its number and the picture.
+#[inline(always)]
+fn each_expected<'a>(
+    sweep: &Sweep,
+    stations: impl Iterator<Item = &'a Station>,
+    views: &[View; 2],
+    mut each: impl FnMut(usize, usize, Expected),
+) {
+    let mut stations = stations.fuse();
+    let mut first = 0;
+    loop {
+        let eight: ArrayVec<&Station, LANES> = stations.by_ref().take(LANES).collect();
+        if eight.is_empty() {
+            return;
+        }
+        let expected = sweep.expect(&eight, views);
+        for lane in 0..eight.len() {
+            for (side, expected) in expected.iter().enumerate() {
+                if let Some(there) = expected.get(lane) {
+                    each(first + lane, side, there);
+                }
+            }
+        }
+        first += eight.len();
     }
 }
 
