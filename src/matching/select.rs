@@ -90,7 +90,11 @@ impl ClaimMap {
     /// The cell of a place, in sides of cells.
     #[inline]
     fn cell(&self, x: f64, y: f64) -> Option<usize> {
-        let (c, r) = (nearest(x), nearest(y));
+        self.cell_at(nearest(x), nearest(y))
+    }
+
+    #[inline]
+    fn cell_at(&self, c: i32, r: i32) -> Option<usize> {
         (c >= 0 && r >= 0 && c < self.columns && r < self.rows).then(|| (r * self.columns + c) as usize)
     }
 
@@ -99,14 +103,16 @@ impl ClaimMap {
         let direction = 1u32 << direction_of(&piece.across);
         let reach = piece.half_width_px * (0.8 / CELL_PX);
         let steps = reach.ceil().max(1.0) as i32;
-        let step = piece.across * (reach / f64::from(steps));
-        // In cells; one along the wire, too, so that none is left between two pieces.
-        let along = Vector2::new(piece.across.y, -piece.across.x);
-        let middle = piece.expected_px / CELL_PX;
+        // In 1/65536 of a cell, half a cell on, so that what is before the point is the nearest cell.
+        let fixed = |v: &Vector2<f64>| [v.x, v.y].map(|v| (v * 65536.0) as i32);
+        let step = fixed(&(piece.across * (reach / f64::from(steps))));
+        let middle = fixed(&(piece.expected_px / CELL_PX).add_scalar(0.5));
+        // One along the wire, too, so that none is left between two pieces.
+        let along = fixed(&Vector2::new(piece.across.y, -piece.across.x));
         for k in -steps..=steps {
-            let beside = middle + step * f64::from(k);
-            for at in [beside - along, beside, beside + along] {
-                if let Some(cell) = self.cell(at.x, at.y) {
+            for j in -1..=1 {
+                let at = |axis: usize| (middle[axis] + k * step[axis] + j * along[axis]) >> 16;
+                if let Some(cell) = self.cell_at(at(0), at(1)) {
                     if self.cells[cell] == 0 {
                         self.touched.push(cell as u32);
                     }

@@ -213,12 +213,10 @@ impl Explanations {
     fn is_explained(&self, scene: &Scene, prepared: &Prepared, pose: &Isometry3<f64>) -> bool {
         let stations = &prepared.pose_model.stations;
         let probes = stations.iter().step_by((stations.len() / 8).max(1));
-        let (mut probed, mut claimed) = (0, 0);
-        for station in probes {
-            probed += 1;
-            let at = self.refine.expect(&prepared.pose_model, station, pose, &scene.views[0]);
-            claimed += at.is_some_and(|(px, across)| self.claims[0].is_claimed_at(&px, &across)) as usize;
-        }
+        let (probed, mut claimed) = (probes.len(), 0);
+        self.refine.expect(&prepared.pose_model, probes, pose, &scene.views, |side, px, across| {
+            claimed += usize::from(side == 0 && self.claims[0].is_claimed_at(&px, &across));
+        });
         2 * claimed > probed
     }
 

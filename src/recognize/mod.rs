@@ -84,7 +84,7 @@ impl Recognizer {
         })
     }
 
-    /// Has a second thread work on the right picture of each pair while this one works on the left. The result does not
+    /// Has a second thread look at the right picture of each pair while this one looks at the left. The result does not
     /// depend on it.
     pub fn share_with(&mut self, second: hands::Owner) {
         self.second = Some(second);
@@ -217,7 +217,8 @@ impl Recognizer {
     /// Fills the pool with rough poses that straight wire holds which nothing explains for certain; says whether there
     /// are any.
     fn search_ridges(&mut self, pair: &FramePair) -> bool {
-        let Self { pictures, rig, parts, pool, params, ridges, areas, lines, explanations, .. } = self;
+        let Self { pictures, rig, parts, pool, params, ridges, areas, lines, explanations, second, .. } =
+            self;
         pool.clear();
         let claims = explanations.claims();
         let least_radii =
@@ -230,11 +231,18 @@ impl Recognizer {
         if ![0, 1].into_iter().all(enough) {
             return false;
         }
-        for (side, frame) in [&pair.left, &pair.right].into_iter().enumerate() {
-            let Some(luma) = LumaView::new(pictures[side].luma(frame)) else { return false };
+        let (Some(left), Some(right)) =
+            (LumaView::new(pictures[0].luma(&pair.left)), LumaView::new(pictures[1].luma(&pair.right)))
+        else {
+            return false;
+        };
+        let (pictures, areas) = (&*pictures, &*areas);
+        let look = |ridges: &mut Ridges, luma: LumaView, side: usize| {
             let dark = params.binarize[side].inverted;
-            ridges[side].run(luma, pictures[side].mask(), &areas[side], dark, half_px[side]);
-        }
+            ridges.run(luma, pictures[side].mask(), &areas[side], dark, half_px[side]);
+        };
+        let [left_ridges, right_ridges] = &mut *ridges;
+        both(second, || look(left_ridges, left, 0), || look(right_ridges, right, 1));
         let down = grasp::down_in_left(&params.grasp);
         let slope_sin_max = params.slope_rad_max.sin();
         let [left, right] = [0, 1].map(|side: usize| {
@@ -339,5 +347,18 @@ impl Recognizer {
         } else {
             NoPick::NothingRecognised
         })
+    }
+}
+
+/// Does both halves of a job, the second one in another thread where there is one.
+fn both(second: &mut Option<hands::Owner>, left: impl FnOnce(), right: impl FnOnce() + Send) {
+    match second {
+        Some(second) => {
+            second.both(left, right);
+        }
+        None => {
+            left();
+            right();
+        }
     }
 }

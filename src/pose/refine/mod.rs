@@ -201,17 +201,13 @@ impl Refine {
 
     /// Share of the wire, the mean of both pictures, where the masks have nothing.
     fn missing(&self, model: &PoseModel, pose: &Isometry3<f64>, views: &[View; 2]) -> f64 {
-        let (mut looked, mut missing) = (0u32, 0u32);
-        for station in model.stations.iter().step_by(2) {
-            for view in views {
-                looked += 1;
-                let there = self.expect(model, station, pose, view);
-                missing += u32::from(
-                    there.is_none_or(|(px, across)| mask_run(view.mask, px, across, 2.0).is_none()),
-                );
-            }
-        }
-        f64::from(missing) / f64::from(looked.max(1))
+        let stations = model.stations.iter().step_by(2);
+        let looked = 2 * stations.len();
+        let mut there = 0;
+        self.expect(model, stations, pose, views, |side, px, across| {
+            there += usize::from(mask_run(views[side].mask, px, across, 2.0).is_some());
+        });
+        (looked - there) as f64 / looked.max(1) as f64
     }
 
     /// Moves the expected places by a step of the pose; gives the largest movement in pixels.
@@ -363,17 +359,18 @@ impl Refine {
         Some(solution)
     }
 
-    /// Where a station is expected in one picture, without looking: place and direction across.
-    pub fn expect(
+    /// Gives where the axis of the wire is expected at these stations, without looking: the picture (0 left, 1 right),
+    /// the place, and the unit vector across; nothing for what is behind a camera.
+    pub fn expect<'a>(
         &self,
         model: &PoseModel,
-        station: &super::model::Station,
+        stations: impl Iterator<Item = &'a Station>,
         pose: &Isometry3<f64>,
-        view: &View,
-    ) -> Option<(Vector2<f64>, Vector2<f64>)> {
-        let aim =
-            aim(model.radius_mm, &(pose * station.position_mm), &(pose.rotation * station.tangent), view)?;
-        Some((aim.px, aim.across))
+        views: &[View; 2],
+        mut each: impl FnMut(usize, Vector2<f64>, Vector2<f64>),
+    ) {
+        let sweep = Sweep::new(self.equations.level(), model, pose, self.eye, 0.0);
+        each_expected(&sweep, stations, views, |_, side, there| each(side, there.px, there.across));
     }
 
     /// Looks for wire at a place where the part has none, and gives what one picture shows there.

@@ -21,7 +21,8 @@ const TAPS_MAX: usize = 2 * REACH_MAX + 1;
 /// Least standard deviation of the Gaussian in pixels: below, its samples are no Gaussian.
 const SIGMA_PX_MIN: f64 = 1.0;
 
-/// A Gaussian and its derivatives, sampled.
+/// A Gaussian and its derivatives, sampled. The first derivative is antisymmetric, the others are symmetric, so that what
+/// is as far to one side as to the other is multiplied together.
 struct Kernels {
     reach: usize,
     taps: [[f32; TAPS_MAX]; 3],
@@ -168,15 +169,28 @@ impl Finder {
             *p = task.sign * f32::from(*b);
         }
         let out = &mut self.rows[strip * TAPS_MAX + y % TAPS_MAX];
-        for (smoothed, taps) in out.iter_mut().zip(taps) {
-            let mut sums = [0.0; 64];
-            for (k, tap) in taps[..=2 * reach].iter().enumerate() {
-                let shifted: &[f32; 64] = padded[k..].first_chunk().expect("64 pixels after every tap");
-                for (sum, p) in sums.iter_mut().zip(shifted) {
-                    *sum += tap * p;
+        for x in (0..64).step_by(GROUP) {
+            let at = |k: usize| -> &[f32; GROUP] {
+                padded[x + k..].first_chunk().expect("64 pixels after every tap")
+            };
+            let middle = at(*reach);
+            let [mut plain, mut first, mut second] = [[0f32; GROUP]; 3];
+            for i in 0..GROUP {
+                plain[i] = taps[0][*reach] * middle[i];
+                second[i] = taps[2][*reach] * middle[i];
+            }
+            for k in 1..=*reach {
+                let (before, after) = (at(reach - k), at(reach + k));
+                for i in 0..GROUP {
+                    let (both, more) = (before[i] + after[i], after[i] - before[i]);
+                    plain[i] += taps[0][reach + k] * both;
+                    first[i] += taps[1][reach + k] * more;
+                    second[i] += taps[2][reach + k] * both;
                 }
             }
-            *smoothed = sums;
+            out[0][x..x + GROUP].copy_from_slice(&plain);
+            out[1][x..x + GROUP].copy_from_slice(&first);
+            out[2][x..x + GROUP].copy_from_slice(&second);
         }
     }
 
@@ -185,20 +199,29 @@ impl Finder {
     fn look(&self, task: &Task, x: usize, y: usize, pixels: u64, points: &mut Vec<Point>) {
         let (kernels, height) = (&task.kernels, task.luma.height());
         let [mut gx, mut gy, mut gxx, mut gxy, mut gyy] = [[0f32; GROUP]; 5];
-        for k in 0..=2 * kernels.reach {
-            let row = (y + k).saturating_sub(kernels.reach).min(height - 1);
+        let (reach, [g, g1, g2]) = (kernels.reach, &kernels.taps);
+        let group = |k: usize, d: usize| -> &[f32; GROUP] {
+            let row = (y + k).saturating_sub(reach).min(height - 1);
             let smoothed = &self.rows[x / 64 * TAPS_MAX + row % TAPS_MAX];
-            let group = |d: usize| -> &[f32; GROUP] {
-                smoothed[d][x % 64..].first_chunk().expect("a strip is whole groups")
-            };
-            let (plain, first, second) = (group(0), group(1), group(2));
-            let [g, g1, g2] = [0, 1, 2].map(|d: usize| kernels.taps[d][k]);
+            smoothed[d][x % 64..].first_chunk().expect("a strip is whole groups")
+        };
+        let (plain, first, second) = (group(reach, 0), group(reach, 1), group(reach, 2));
+        for i in 0..GROUP {
+            gx[i] = g[reach] * first[i];
+            gxx[i] = g[reach] * second[i];
+            gyy[i] = g2[reach] * plain[i];
+        }
+        for k in 1..=reach {
+            let (above, below) = (reach - k, reach + k);
+            let (plain, first, second) = (group(above, 0), group(above, 1), group(above, 2));
+            let (plain_below, first_below, second_below) =
+                (group(below, 0), group(below, 1), group(below, 2));
             for i in 0..GROUP {
-                gx[i] += g * first[i];
-                gy[i] += g1 * plain[i];
-                gxx[i] += g * second[i];
-                gxy[i] += g1 * first[i];
-                gyy[i] += g2 * plain[i];
+                gx[i] += g[below] * (first[i] + first_below[i]);
+                gy[i] += g1[below] * (plain_below[i] - plain[i]);
+                gxx[i] += g[below] * (second[i] + second_below[i]);
+                gxy[i] += g1[below] * (first_below[i] - first[i]);
+                gyy[i] += g2[below] * (plain[i] + plain_below[i]);
             }
         }
         let mut curvature = [0f32; GROUP];
