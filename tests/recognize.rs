@@ -102,6 +102,17 @@ fn the_same_call_gives_the_same_parts_and_repeat_gives_percentiles() {
 }
 
 #[test]
+fn two_threads_find_what_one_finds() {
+    // Rods over each other: ridges are looked for, too.
+    let call = ["--left", "replay/conveyor/left/0003.jpg", "--right", "replay/conveyor/right/0003.jpg"];
+    let [one, two] = ["1", "2"].map(|threads| {
+        json_lines(&recognize(&[&call[..], &["--format", "json", "--threads", threads]].concat()))
+    });
+    assert_eq!(one[0]["parts"], two[0]["parts"]);
+    assert!(one[0]["parts"].as_array().unwrap().len() > 5);
+}
+
+#[test]
 fn stages_and_overlay_are_written_and_the_text_is_for_people() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);

@@ -48,7 +48,7 @@ fn the_cell_that_comes_with_the_project_is_ready() {
 
 #[test]
 fn a_cell_that_is_wrong_ends_with_2() {
-    let (code, text) = complaint("threads = 1", "threads = 3");
+    let (code, text) = complaint("threads = 2", "threads = 3");
     assert_eq!(code, 2);
     assert!(text.contains("recognition.threads = 3 is not possible; allowed: 1 or 2"), "{text}");
     let (code, text) = complaint("session = \"replay/conveyor\"", "session = \"replay/parts\"");
