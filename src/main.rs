@@ -5,6 +5,7 @@ use std::io::Write;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand, ValueEnum};
+use firmware_bridge::outside::LogOutput;
 use pickcell::commands::{accuracy, check, devices, recognize, run, session};
 
 /// Drives a robot cell: two webcams see thin parts in a bin, the arm gets grasp targets
@@ -55,24 +56,30 @@ fn main() -> ExitCode {
         },
         Command::Accuracy(args) => match accuracy::run(&args) {
             Ok(code) => code.into(),
-            Err(e) => fail(cli.log_format, &e, 1),
+            Err(e) if accuracy::is_closed_pipe(&*e) => ExitCode::SUCCESS,
+            Err(e) => fail(cli.log_format, &e, accuracy::exit_code(&*e)),
         },
-        Command::Devices(args) => print(&devices::run(&args), 0),
+        Command::Devices(args) => print(cli.log_format, &devices::run(&args), 0),
         Command::Session(args) => match session::run(&args) {
-            Ok(text) => print(&text, 0),
+            Ok(text) => print(cli.log_format, &text, 0),
             Err(e) => fail(cli.log_format, &e, 2),
         },
         Command::Check(args) => {
             let (text, code) = check::run(&args);
-            print(&text, code)
+            print(cli.log_format, &text, code)
         }
     }
 }
 
-/// Puts a result on standard output; whoever reads it may have gone.
-fn print(text: &str, code: u8) -> ExitCode {
-    drop(std::io::stdout().write_all(text.as_bytes()));
-    code.into()
+/// Puts a result on standard output. Whoever reads it may have gone; that it has no room is a failure.
+fn print(format: LogFormat, text: &str, code: u8) -> ExitCode {
+    let mut out = std::io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
+            fail(format, &format!("cannot write to standard output: {e}"), code.max(1))
+        }
+        _ => code.into(),
+    }
 }
 
 /// Diagnostics go to standard error; `PICKCELL_LOG` chooses what, as in `PICKCELL_LOG=debug`.
@@ -81,7 +88,7 @@ fn start_log(format: LogFormat) {
     let filter = EnvFilter::try_from_env("PICKCELL_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
     let log = tracing_subscriber::fmt()
         .with_env_filter(filter)
-        .with_writer(std::io::stderr)
+        .with_writer(|| LogOutput)
         .with_ansi(std::io::IsTerminal::is_terminal(&std::io::stderr()));
     let started = match format {
         LogFormat::Text => log.with_target(false).try_init(),
@@ -94,8 +101,7 @@ fn start_log(format: LogFormat) {
 /// Says what went wrong, and gives the exit code.
 fn fail(format: LogFormat, error: &dyn Display, code: u8) -> ExitCode {
     match format {
-        // standard error may be closed: nothing is left to say it to
-        LogFormat::Text => drop(writeln!(std::io::stderr(), "error: {error}")),
+        LogFormat::Text => drop(writeln!(LogOutput, "error: {error}")),
         LogFormat::Json => tracing::error!("{error}"),
     }
     code.into()

@@ -317,3 +317,26 @@ fn bad_input_is_named_with_its_remedy_and_ends_with_2() {
     let empty = Cell::new(&[(&format!("session = \"{}", project.display()), "session = \".\"")]);
     broken(&empty, &[], "session.toml: cannot read it");
 }
+
+#[test]
+fn a_log_that_cannot_be_written_does_not_stop_the_cell() {
+    let cell = Cell::fast(&[]);
+    let full = || Stdio::from(fs::File::options().write(true).open("/dev/full").unwrap());
+    let output = cell.command(&["--overlay", "none"]).stderr(full()).output().unwrap();
+    assert_eq!((output.status.code(), row(&stdout(&output), "pairs")), (Some(0), Some(20)));
+    let status = cell.command(&["--overlay", "none"]).stdout(full()).stderr(Stdio::null()).status().unwrap();
+    assert_eq!(status.code(), Some(1));
+}
+
+#[test]
+fn a_terminal_that_hangs_up_ends_the_cell_well() {
+    let cell = Cell::new(&[("\"realtime\"", "\"realtime\"")]);
+    let mut child =
+        cell.command(&["--overlay", "none"]).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    lines.next().unwrap().unwrap();
+    kill_process(Pid::from_child(&child), Signal::HUP).unwrap();
+    let text: Vec<_> = lines.map(Result::unwrap).collect();
+    assert_eq!(child.wait().unwrap().code(), Some(0));
+    assert!(row(&text.join("\n"), "pairs").unwrap() < 20, "{text:?}");
+}

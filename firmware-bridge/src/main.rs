@@ -1,6 +1,6 @@
 //! `firmware-bridge`: the arm's side of a PickCell as a process of its own, and simulated arms.
 //!
-//! Exit codes: 0 done (also after SIGINT or SIGTERM), 1 the job failed, 2 wrong usage or configuration.
+//! Exit codes: 0 done (also after SIGINT, SIGTERM or SIGHUP), 1 the job failed, 2 wrong usage or configuration.
 
 mod commands;
 
@@ -38,9 +38,6 @@ fn main() -> ExitCode {
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => {
-            eprintln!("firmware-bridge: {failure}");
-            failure.exit_code()
-        }
+        Err(failure) => commands::fail(&failure, arguments.log_format),
     }
 }

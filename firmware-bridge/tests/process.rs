@@ -280,3 +280,28 @@ fn a_service_of_another_kind_is_named_with_a_remedy() {
         "{said}"
     );
 }
+
+#[test]
+fn a_log_that_cannot_be_written_stops_nothing_and_a_failure_is_a_line_of_it() {
+    let full = || Stdio::from(std::fs::File::options().write(true).open("/dev/full").unwrap());
+    let mut program = Process::new(env!("CARGO_BIN_EXE_firmware-bridge"));
+    program.args(["run", "--cell", "/nowhere/cell.toml"]);
+    assert_eq!(program.stderr(full()).status().unwrap().code(), Some(2));
+    let said = program.args(["--log-format", "json"]).stderr(Stdio::piped()).output().unwrap();
+    let line = String::from_utf8(said.stderr).unwrap();
+    assert!(line.starts_with('{') && line.contains("ERROR") && line.contains("/nowhere/cell.toml"), "{line}");
+}
+
+#[test]
+fn a_hang_up_ends_a_bridge_well() {
+    let folder = tempfile::tempdir().unwrap();
+    let _arm = simulate(&folder.path().join("arm"), "own", &[]);
+    let (cell, _) = write_cell(folder.path(), "hangup", "shared-memory");
+    let mut bridge = Running::start(&["run", "--cell", cell.to_str().unwrap()]);
+    let mut log = BufReader::new(bridge.0.stderr.take().unwrap()).lines();
+    log.by_ref().find(|line| line.as_ref().unwrap().contains("Connected")).expect("the arm is met").unwrap();
+    let pid = rustix::process::Pid::from_child(&bridge.0);
+    rustix::process::kill_process(pid, rustix::process::Signal::HUP).unwrap();
+    assert_eq!(bridge.0.wait().unwrap().code(), Some(0));
+    assert!(log.map(Result::unwrap).last().unwrap().contains("the bridge ends"));
+}

@@ -12,13 +12,14 @@
 //! of them stops the cell: the arm is told to hold, then the panic goes on.
 
 use std::io;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::thread::{Builder, Scope};
 use std::time::Duration;
 
+use firmware_bridge::outside::ending_signals;
 use rtrb::{Consumer, Producer, RingBuffer};
-use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1, SIGUSR2};
+use signal_hook::consts::{SIGUSR1, SIGUSR2};
 use signal_hook::iterator::Signals;
 
 use super::carrier::Carrier;
@@ -79,18 +80,20 @@ impl Controls {
     }
 }
 
-/// Turns signals into wishes until the process ends: SIGINT and SIGTERM stop, SIGUSR1 releases, SIGUSR2 holds.
+/// Turns signals into wishes until the process ends: SIGINT, SIGTERM and SIGHUP stop, SIGUSR1 releases, SIGUSR2 holds.
+/// Before there is a cell nothing can have moved: whoever is asked to end then ends at once, well.
 ///
 /// # Errors
 /// The system does not let signals be caught.
-pub fn obey_signals(controls: Arc<Controls>) -> io::Result<()> {
-    let mut signals = Signals::new([SIGINT, SIGTERM, SIGUSR1, SIGUSR2])?;
+pub fn obey_signals(cell: Arc<OnceLock<Arc<Controls>>>) -> io::Result<()> {
+    let mut signals = Signals::new(ending_signals().into_iter().chain([SIGUSR1, SIGUSR2]))?;
     Builder::new().name("signals".into()).spawn(move || {
         for signal in signals.forever() {
-            match signal {
-                SIGUSR1 => controls.operator(Operator::Release),
-                SIGUSR2 => controls.operator(Operator::Hold),
-                _ => controls.stop(),
+            match (signal, cell.get()) {
+                (SIGUSR1, controls) => controls.iter().for_each(|c| c.operator(Operator::Release)),
+                (SIGUSR2, controls) => controls.iter().for_each(|c| c.operator(Operator::Hold)),
+                (_, Some(controls)) => controls.stop(),
+                (_, None) => std::process::exit(0),
             }
         }
     })?;

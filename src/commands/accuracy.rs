@@ -1,5 +1,6 @@
 //! `pickcell accuracy`: recognises scenes with known truth and prints how near it came.
 
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use crate::accuracy::score::{Score, Verdict};
@@ -47,16 +48,31 @@ pub struct Accuracy {
 pub fn run(args: &Accuracy) -> Result<u8, Box<dyn std::error::Error>> {
     let folder = args.parts.clone().unwrap_or_else(|| args.root.join("parts"));
     let mut total = Score::default();
-    println!("{}", Score::HEADING);
-    for set in truth::read_sets(&args.root)? {
+    let sets = truth::read_sets(&args.root)?;
+    say(Score::HEADING)?;
+    for set in sets {
         if args.sets.is_empty() || args.sets.contains(&set.name) {
             let score = run_set(args, &set, &folder)?;
-            println!("{}", score.row(&set.name));
+            say(&score.row(&set.name))?;
             total.merge(&score);
         }
     }
-    println!("{}", total.row("**all**"));
+    say(&total.row("**all**"))?;
     Ok(0)
+}
+
+/// 1 where a result could not be written, 2 where what was given cannot be used.
+pub fn exit_code(error: &(dyn std::error::Error + 'static)) -> u8 {
+    if error.is::<io::Error>() { 1 } else { 2 }
+}
+
+/// Whoever read the table does not want any more of it.
+pub fn is_closed_pipe(error: &(dyn std::error::Error + 'static)) -> bool {
+    error.downcast_ref::<io::Error>().is_some_and(|e| e.kind() == io::ErrorKind::BrokenPipe)
+}
+
+fn say(line: &str) -> io::Result<()> {
+    writeln!(io::stdout().lock(), "{line}")
 }
 
 fn run_set(args: &Accuracy, set: &SceneSet, folder: &Path) -> Result<Score, Box<dyn std::error::Error>> {
@@ -88,7 +104,7 @@ fn run_set(args: &Accuracy, set: &SceneSet, folder: &Path) -> Result<Score, Box<
         }
         let verdicts = score.add(&truth, &found, &parts);
         if args.verbose {
-            tell(set, scene, &truth, &found, &parts, &verdicts);
+            tell(set, scene, &truth, &found, &parts, &verdicts)?;
         }
     }
     Ok(score)
@@ -101,7 +117,7 @@ fn tell(
     found: &Recognition,
     parts: &[Part],
     verdicts: &[Verdict],
-) {
+) -> io::Result<()> {
     let name = format!("{}/{}", set.name, scene.name);
     for v in verdicts {
         let f = &found.parts[v.detection];
@@ -111,19 +127,20 @@ fn tell(
             _ => continue,
         };
         let nodes: Vec<_> = f.nodes.iter().map(|n| (n.left_px.x.round(), n.left_px.y.round())).collect();
-        println!(
+        say(&format!(
             "    {name} #{} {} {what} fitness {:.2} clear {:.2} at {nodes:?}",
             v.detection, parts[f.part].name, f.fitness, f.clear,
-        );
+        ))?;
     }
     for (o, object) in truth.objects.iter().enumerate() {
         if !verdicts.iter().any(|v| v.object.is_some_and(|(k, _)| k == o)) {
             let visible = object.visible_left.min(object.visible_right);
-            println!(
+            say(&format!(
                 "    {name} object {o} {} missed, visible {visible:.2} {:?}",
                 object.part,
                 object.nodes.iter().map(|n| n.left_px).collect::<Vec<_>>()
-            );
+            ))?;
         }
     }
+    Ok(())
 }

@@ -5,6 +5,8 @@ pub(crate) mod simulate;
 
 use firmware_bridge::config::ConfigError;
 use firmware_bridge::link::LinkError;
+use firmware_bridge::outside::{LogOutput, ending_signals};
+use std::io::{IsTerminal, Write};
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -61,13 +63,14 @@ impl Failure {
     }
 }
 
-/// The receiving end of a socket into which SIGINT and SIGTERM put a byte.
+/// The receiving end of a socket into which the signals that end a process put a byte.
 pub(crate) fn catch_signals() -> Result<UnixStream, Failure> {
     let pair = || -> std::io::Result<UnixStream> {
         let (read, write) = UnixStream::pair()?;
         read.set_nonblocking(true)?;
-        signal_hook::low_level::pipe::register(signal_hook::consts::SIGINT, write.try_clone()?)?;
-        signal_hook::low_level::pipe::register(signal_hook::consts::SIGTERM, write)?;
+        for signal in ending_signals() {
+            signal_hook::low_level::pipe::register(signal, write.try_clone()?)?;
+        }
         Ok(read)
     };
     pair().map_err(Failure::Signals)
@@ -80,9 +83,22 @@ pub(crate) fn signalled(mut signals: &UnixStream) -> bool {
 
 /// Log lines go to standard error.
 pub(crate) fn start_log(level: tracing::level_filters::LevelFilter, format: Format) {
-    let log = tracing_subscriber::fmt().with_max_level(level).with_writer(std::io::stderr).with_target(false);
+    let log = tracing_subscriber::fmt()
+        .with_max_level(level)
+        .with_writer(|| LogOutput)
+        .with_ansi(std::io::stderr().is_terminal())
+        .with_target(false);
     match format {
         Format::Text => log.init(),
         Format::Json => log.json().init(),
     }
+}
+
+/// Says why a command failed, and gives the exit code.
+pub(crate) fn fail(failure: &Failure, format: Format) -> ExitCode {
+    match format {
+        Format::Text => drop(writeln!(LogOutput, "firmware-bridge: {failure}")),
+        Format::Json => tracing::error!("{failure}"),
+    }
+    failure.exit_code()
 }

@@ -112,7 +112,11 @@ impl Buffers {
             return Err(io::Error::from_raw_os_error(libc::EINVAL));
         };
         let monotonic = buffer.flags & uapi::BUF_FLAG_TIMESTAMP_MASK == uapi::BUF_FLAG_TIMESTAMP_MONOTONIC;
-        let stamp_ns = buffer.timestamp.tv_sec * 1_000_000_000 + buffer.timestamp.tv_usec * 1000;
+        let uapi_stamp = buffer.timestamp;
+        let stamp_ns = uapi_stamp
+            .tv_sec
+            .saturating_mul(1_000_000_000)
+            .saturating_add(uapi_stamp.tv_usec.saturating_mul(1000));
         Ok(Some(Filled {
             index: buffer.index,
             bytes_used: (buffer.bytes_used as usize).min(map.length),

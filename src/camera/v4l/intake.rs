@@ -55,6 +55,11 @@ impl<T> Intake<T> {
         Step { skipped, full: false }
     }
 
+    /// What was taken is not used: it counts as skipped for the next one.
+    pub(super) fn skip(&mut self, taken: &Taken<T>) {
+        self.skipped += taken.skipped + 1;
+    }
+
     /// Whether a buffer is held that must be taken before more are offered.
     pub(super) fn is_full(&self) -> bool {
         self.bad.is_some()
@@ -68,6 +73,40 @@ impl<T> Intake<T> {
         }
         let (buffer, condition) = self.bad.take()?;
         Some(Taken { buffer, condition, skipped: 0 })
+    }
+}
+
+/// Whether the newest buffer that waits is also a young one. A driver that has filled all its buffers waits for the
+/// first to be given back: what it filled last may be of any age. Where stamps tell the age nobody needs this.
+#[derive(Debug)]
+pub(super) struct Backlog {
+    buffers: usize,
+    /// Since the driver last had none to give.
+    taken: usize,
+    /// As many as there are had been taken when it last had none to give.
+    was_full: bool,
+}
+
+impl Backlog {
+    /// Of a driver with so many buffers.
+    pub(super) fn new(buffers: usize) -> Self {
+        Backlog { buffers, taken: 0, was_full: false }
+    }
+
+    /// A filled buffer was taken from the driver.
+    pub(super) fn one_taken(&mut self) {
+        self.taken += 1;
+    }
+
+    /// The driver has no filled buffer any more.
+    pub(super) fn none_waits(&mut self) {
+        self.was_full = self.taken >= self.buffers;
+        self.taken = 0;
+    }
+
+    /// Whether all buffers were filled when the last one was taken.
+    pub(super) fn is_of_unknown_age(&self) -> bool {
+        self.was_full || self.taken >= self.buffers
     }
 }
 
@@ -108,6 +147,37 @@ mod tests {
         assert_eq!(intake.take(), None);
         assert_eq!(intake.offer(4, Condition::Good), Step { skipped: None, full: false });
         assert_eq!(intake.take(), taken(4, Condition::Good, 0));
+    }
+
+    #[test]
+    fn what_was_not_used_counts_as_skipped() {
+        let mut intake = Intake::default();
+        intake.offer(1, Condition::Good);
+        intake.offer(2, Condition::Good);
+        let old = intake.take().unwrap();
+        intake.skip(&old);
+        intake.offer(3, Condition::Good);
+        assert_eq!(intake.take(), taken(3, Condition::Good, 2));
+    }
+
+    #[test]
+    fn the_newest_of_a_full_backlog_may_be_of_any_age() {
+        let mut backlog = Backlog::new(3);
+        let mut drained = |taken: usize, to_the_end: bool| {
+            (0..taken).for_each(|_| backlog.one_taken());
+            if to_the_end {
+                backlog.none_waits();
+            }
+            backlog.is_of_unknown_age()
+        };
+        assert!(!drained(2, true));
+        assert!(drained(3, true));
+        assert!(!drained(1, true));
+        // A damaged one ends a look early; what waits behind it is as old.
+        assert!(!drained(1, false));
+        assert!(drained(2, true));
+        assert!(!drained(0, true));
+        assert!(drained(3, false));
     }
 
     #[test]

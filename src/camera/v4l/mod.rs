@@ -32,7 +32,7 @@ use device::{Device, DriverFormat, Readiness};
 pub use error::CameraError;
 use error::{in_words, trouble};
 use format::Rows;
-use intake::{Intake, Taken};
+use intake::{Backlog, Intake, Taken};
 
 /// Buffers that the driver fills in turn.
 const BUFFERS: u32 = 4;
@@ -46,7 +46,7 @@ const FIRST_FRAME_WITHIN: Duration = Duration::from_secs(4);
 /// The first pause before a lost camera is opened again, and the longest.
 const REOPEN_PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(2));
 
-/// A stamp further than this from now is not of the clock that its flag names.
+/// A stamp further ahead than this, or further before the stream began, is not of the clock that its flag names, ns.
 const STAMP_OFF_NS_MAX: i64 = 10_000_000_000;
 
 /// An open device that streams.
@@ -59,6 +59,8 @@ struct Stream {
     rows: Option<Rows>,
     encoding: ColourEncoding,
     buffer_bytes: usize,
+    began: Timestamp,
+    backlog: Backlog,
     quiet_until: Timestamp,
 }
 
@@ -172,9 +174,19 @@ impl V4lCamera {
                 Err(error) => self.lose(trouble(&error)),
             };
         }
-        if taken.buffer.monotonic_ns.is_none() && !std::mem::replace(&mut self.unknown_clock_told, true) {
-            let device = self.settings.device.display();
-            tracing::warn!(%device, "time stamps are of an unknown clock; the time of dequeue is taken instead");
+        let (_, mark) = stream.stamp(&taken.buffer, Timestamp::now());
+        if mark == TimestampMark::HandedOver {
+            if !std::mem::replace(&mut self.unknown_clock_told, true) {
+                let device = self.settings.device.display();
+                tracing::warn!(%device, "time stamps are of an unknown clock; the time of dequeue is taken instead");
+            }
+            if taken.condition == Condition::Good && stream.backlog.is_of_unknown_age() {
+                stream.intake.skip(&taken);
+                return match stream.give_back(taken.buffer) {
+                    Ok(()) => Grab::TimedOut,
+                    Err(error) => self.lose(trouble(&error)),
+                };
+            }
         }
         let grab = Grab::Frame { condition: taken.condition, skipped: taken.skipped };
         match stream.copy(taken, &self.settings, frame) {
@@ -234,7 +246,9 @@ impl Stream {
         let quiet_until = Timestamp::now().after(FIRST_FRAME_WITHIN.max(10 * asked.period()));
         let buffer_bytes = rows.map_or(taken.size_image as usize, |rows| rows.row_bytes * rows.rows);
         let intake = Intake::default();
-        Ok(Stream { buffers, device, intake, rows, encoding, buffer_bytes, quiet_until })
+        let backlog = Backlog::new(buffers.count());
+        let began = Timestamp::now();
+        Ok(Stream { buffers, device, intake, rows, encoding, buffer_bytes, began, backlog, quiet_until })
     }
 
     /// The next buffer; `None` where none came until `until`, or the camera has been quiet for too long.
@@ -242,7 +256,10 @@ impl Stream {
         if !self.intake.is_full() {
             let timeout = between(Timestamp::now(), until.min(self.quiet_until));
             match self.device.wait(timeout)? {
-                Readiness::Quiet => return Ok(None),
+                Readiness::Quiet => {
+                    self.backlog.none_waits();
+                    return Ok(None);
+                }
                 Readiness::Filled => {}
                 Readiness::Broken => {
                     // The error number tells an unplugged camera from a broken stream.
@@ -260,7 +277,11 @@ impl Stream {
     fn drain(&mut self) -> io::Result<()> {
         // Twice around at most: a camera that fills faster than this empties must not hold the thread.
         for _ in 0..2 * self.buffers.count() {
-            let Some(filled) = self.buffers.dequeue(&self.device)? else { break };
+            let Some(filled) = self.buffers.dequeue(&self.device)? else {
+                self.backlog.none_waits();
+                break;
+            };
+            self.backlog.one_taken();
             let condition = intake::condition(filled.error, self.buffers.bytes(&filled), self.rows);
             let step = self.intake.offer(filled, condition);
             if let Some(skipped) = step.skipped {
@@ -282,7 +303,7 @@ impl Stream {
         frame.stride_bytes = self.rows.map_or(0, |rows| rows.row_bytes);
         frame.encoding = self.encoding;
         frame.sequence = taken.buffer.sequence;
-        (frame.timestamp, frame.mark) = stamp(&taken.buffer, Timestamp::now());
+        (frame.timestamp, frame.mark) = self.stamp(&taken.buffer, Timestamp::now());
         match (taken.condition, self.rows) {
             (Condition::Good, Some(rows)) => rows.copy(bytes, &mut frame.bytes),
             (Condition::Good, None) => {
@@ -294,19 +315,25 @@ impl Stream {
         self.give_back(taken.buffer)
     }
 
+    fn stamp(&self, filled: &Filled, now: Timestamp) -> (Timestamp, TimestampMark) {
+        stamp(filled, self.began, now)
+    }
+
     fn give_back(&mut self, buffer: Filled) -> io::Result<()> {
         self.buffers.queue(&self.device, buffer)
     }
 }
 
-/// When the light was seen, and what moment of the exposure that is.
-fn stamp(filled: &Filled, now: Timestamp) -> (Timestamp, TimestampMark) {
-    match filled.monotonic_ns.map(Timestamp) {
-        Some(stamp) if now.since(stamp).abs() <= STAMP_OFF_NS_MAX => {
-            let start = filled.start_of_exposure;
-            (stamp, if start { TimestampMark::StartOfExposure } else { TimestampMark::EndOfFrame })
-        }
-        _ => (now, TimestampMark::HandedOver),
+/// When the light was seen, and what moment of the exposure that is, in a stream that `began` then. However old a frame
+/// is, it is not older than its stream: a stamp of long ago is the true one of a frame that waited while the process
+/// stood still, and must not make it young.
+fn stamp(filled: &Filled, began: Timestamp, now: Timestamp) -> (Timestamp, TimestampMark) {
+    let of_its_clock =
+        |stamp: &Timestamp| began.since(*stamp) <= STAMP_OFF_NS_MAX && stamp.since(now) <= STAMP_OFF_NS_MAX;
+    match filled.monotonic_ns.map(Timestamp).filter(of_its_clock) {
+        Some(stamp) if filled.start_of_exposure => (stamp, TimestampMark::StartOfExposure),
+        Some(stamp) => (stamp, TimestampMark::EndOfFrame),
+        None => (now, TimestampMark::HandedOver),
     }
 }
 
@@ -401,12 +428,23 @@ mod tests {
 
     #[test]
     fn a_stamp_is_the_drivers_where_its_clock_is_known() {
-        let filled = Filled::stamped;
-        let now = Timestamp(50_000_000_000);
-        let stamped = stamp(&filled(Some(49_980_000_000), true), now);
-        assert_eq!(stamped, (Timestamp(49_980_000_000), TimestampMark::StartOfExposure));
-        assert_eq!(stamp(&filled(Some(50_010_000_000), false), now).1, TimestampMark::EndOfFrame);
-        assert_eq!(stamp(&filled(None, false), now), (now, TimestampMark::HandedOver));
-        assert_eq!(stamp(&filled(Some(1), false), now), (now, TimestampMark::HandedOver));
+        let (began, now) = (Timestamp(5_000_000_000), Timestamp(50_000_000_000));
+        let stamp = |at, start| stamp(&Filled::stamped(at, start), began, now);
+        let of_dequeue = (now, TimestampMark::HandedOver);
+        assert_eq!(
+            stamp(Some(49_980_000_000), true),
+            (Timestamp(49_980_000_000), TimestampMark::StartOfExposure)
+        );
+        assert_eq!(stamp(Some(50_010_000_000), false).1, TimestampMark::EndOfFrame);
+        assert_eq!(stamp(None, false), of_dequeue);
+        assert_eq!(stamp(Some(-6_000_000_000), false), of_dequeue);
+        assert_eq!(stamp(Some(61_000_000_000), false), of_dequeue);
+    }
+
+    #[test]
+    fn a_frame_that_waited_while_the_process_stood_still_stays_old() {
+        let (began, now) = (Timestamp(5_000_000_000), Timestamp(500_000_000_000));
+        let waited = Filled::stamped(Some(6_000_000_000), false);
+        assert_eq!(stamp(&waited, began, now), (Timestamp(6_000_000_000), TimestampMark::EndOfFrame));
     }
 }

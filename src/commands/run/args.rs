@@ -12,7 +12,7 @@ use clap::{Args, ValueEnum};
 Example: pickcell run --cell cell.toml
          pickcell run --soak 20000 --rate 30
 
-Signals: SIGINT, SIGTERM: no further target, the arm is told to hold, exit. SIGUSR1: the operator's release.
+Signals: SIGINT, SIGTERM, SIGHUP: no further target, the arm is told to hold, exit. SIGUSR1: the operator's release.
          SIGUSR2: the operator's hold. Software is no emergency stop.
 Exit code: 0 done, 1 the job failed, 2 wrong usage or configuration.")]
 pub struct RunArgs {

@@ -4,12 +4,12 @@ mod args;
 mod cold;
 mod error;
 mod paint;
-mod place;
+pub(super) mod place;
 mod record;
 mod setup;
 mod summary;
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 pub use args::RunArgs;
 pub use error::RunError;
@@ -30,6 +30,8 @@ use crate::time::Timestamp;
 /// # Errors
 /// [`RunError`]; its exit code says whether the job or what was given to it is to blame.
 pub fn run(args: &RunArgs) -> Result<(), RunError> {
+    let signalled = Arc::new(OnceLock::new());
+    threads::obey_signals(Arc::clone(&signalled)).map_err(RunError::System)?;
     let Setup {
         cell,
         core,
@@ -48,7 +50,7 @@ pub fn run(args: &RunArgs) -> Result<(), RunError> {
         names,
     } = Setup::new(args)?;
     let controls = Arc::new(Controls::new(Arc::clone(&desk)));
-    threads::obey_signals(Arc::clone(&controls)).map_err(RunError::System)?;
+    signalled.get_or_init(|| Arc::clone(&controls));
     let in_base = cell.rig.base_from_left.is_some();
     let Seats { grabs, recognise, cold, hub } = seats;
     let mut cold = Cold::new(args, &cell, (Arc::clone(&desk), cold), &rig, parts, names, period)?;

@@ -1,0 +1,86 @@
+//! What a process has to do with the world that started it: signals that end it, a log that must not, and files that
+//! somebody named.
+
+use std::fs::File;
+use std::io::{self, Read, Write};
+use std::path::Path;
+
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+
+/// Largest text file that is read: a thousand times what any cell needs. A device that never ends (/dev/zero) must
+/// not fill the memory.
+const TEXT_BYTES_MAX: u64 = 16 << 20;
+
+/// The text of a file.
+///
+/// # Errors
+/// What the system says; a file that is no UTF-8, or larger than 16 MiB.
+pub fn read_text(path: &Path) -> io::Result<String> {
+    String::from_utf8(read_bytes(path)?)
+        .map_err(|e| io::Error::new(io::ErrorKind::InvalidData, e.utf8_error()))
+}
+
+/// The bytes of what should be a text file.
+///
+/// # Errors
+/// What the system says; a file larger than 16 MiB.
+pub fn read_bytes(path: &Path) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    File::open(path)?.take(TEXT_BYTES_MAX + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > TEXT_BYTES_MAX {
+        return Err(io::Error::new(io::ErrorKind::FileTooLarge, "larger than 16 MiB, which no such file is"));
+    }
+    Ok(bytes)
+}
+
+/// The signals that ask a process to end: SIGINT, SIGTERM, and SIGHUP (its terminal is gone), unless whoever started
+/// it wants that ignored, as nohup does.
+pub fn ending_signals() -> Vec<i32> {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let hangup = (!ignores(&status, SIGHUP)).then_some(SIGHUP);
+    [SIGINT, SIGTERM].into_iter().chain(hangup).collect()
+}
+
+/// Whether a `/proc/self/status` names the signal among the ignored ones.
+fn ignores(status: &str, signal: i32) -> bool {
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
+    mask >> (signal - 1) & 1 == 1
+}
+
+/// Standard error for a log: what cannot be written there is lost. A full disk, or a reader that has gone, must not
+/// stop an arm; a logger that gets an error would complain on standard error, and panic over that.
+#[derive(Debug, Default)]
+pub struct LogOutput;
+
+impl Write for LogOutput {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let _ = io::stderr().write_all(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_without_an_end_is_refused() {
+        assert_eq!(read_text("/dev/zero".as_ref()).unwrap_err().kind(), io::ErrorKind::FileTooLarge);
+        assert_eq!(read_text("/dev/null".as_ref()).unwrap(), "");
+        assert_eq!(read_text("/".as_ref()).unwrap_err().kind(), io::ErrorKind::IsADirectory);
+    }
+
+    #[test]
+    fn an_ignored_signal_is_found_in_the_mask() {
+        let status = "Name:\tx\nSigBlk:\t0000000000000001\nSigIgn:\t0000000000001001\nSigCgt:\t0\n";
+        assert!(ignores(status, SIGHUP));
+        assert!(!ignores(status, SIGTERM));
+        assert!(!ignores("", SIGHUP));
+        assert!(ending_signals().starts_with(&[SIGINT, SIGTERM]));
+    }
+}
