@@ -17,7 +17,7 @@
 mod status;
 mod wire;
 
-use self::status::{State, Status, is_banner, understood};
+use self::status::{State, Status, is_banner, is_first, understood};
 use super::engine::Driver;
 use super::line::{self, Assembler, LineBuf};
 use super::wire::{CODE_UNANSWERED, CODE_UNNUMBERED, Event, Events, MS, put};
@@ -46,6 +46,10 @@ const BANNER: i64 = 3000 * MS;
 const SILENCE_MIN: i64 = 750 * MS;
 /// `Idle` for so long with a line unanswered: its answer is lost.
 const ANSWER_LOST: i64 = 1000 * MS;
+
+/// The work offset comes with every tenth report at rest and every thirtieth in motion (config.h,
+/// `REPORT_WCO_REFRESH_*`); after so many without one it never comes (`$10` of grblHAL).
+const UNPLACED_MAX: u8 = 40;
 
 /// Handshakes that end with something foreign before it is another dialect.
 const DOUBTS_MAX: u8 = 2;
@@ -130,6 +134,10 @@ pub struct GrblWire {
     locked: bool,
     idle_since: Option<i64>,
     offset_mm: Option<[f64; 3]>,
+    /// Statuses of the handshake that did not tell where it stands.
+    unplaced: u8,
+    /// `G4 P0` waits for the moves. The ports to the ESP32, whose versions are later than 1.1, leave it out.
+    zero_dwell_waits: bool,
     held_sign: Box<str>,
 }
 
@@ -192,6 +200,7 @@ impl GrblWire {
             }
         } else if let Some(version) = text.strip_prefix("[VER:") {
             self.old_version = !understood(version);
+            self.zero_dwell_waits = is_first(version);
         } else if text.starts_with('[') || text.starts_with('>') || text.starts_with('$') {
             // Messages, start-up lines, settings.
         } else {
@@ -208,9 +217,12 @@ impl GrblWire {
         self.asked = None;
         self.asked_since = None;
         self.offset_mm = None;
+        self.unplaced = 0;
         self.dirty = false;
         self.locked = false;
-        self.old_version = !understood(text.split_once(' ').map_or("", |(_, version)| version));
+        let version = text.split_once(' ').map_or("", |(_, version)| version);
+        self.old_version = !understood(version);
+        self.zero_dwell_waits = is_first(version);
         match self.chore {
             Chore::Closed => {}
             Chore::Settle { reset: Some(_) } => {
@@ -304,7 +316,7 @@ impl GrblWire {
         let position_mm = status.position_mm(self.offset_mm);
         match self.chore {
             Chore::Closed | Chore::Banner(_) => {}
-            Chore::Greet(_) => self.greeted(status.state, now, events),
+            Chore::Greet(_) => self.greeted(status.state, position_mm[0].is_some(), now, events),
             Chore::None => self.watched(status.state, position_mm, now, events),
             _ if status.state == State::Alarm
                 && !matches!(self.chore, Chore::Unlock { .. } | Chore::Info(_)) =>
@@ -364,7 +376,7 @@ impl GrblWire {
     }
 
     /// A first status: nothing may move before the handshake goes on.
-    fn greeted(&mut self, state: State, now: i64, events: &mut Events) {
+    fn greeted(&mut self, state: State, placed: bool, now: i64, events: &mut Events) {
         match state {
             State::Run | State::Jog | State::Holding | State::Home => {
                 // The moves of a cell that is gone: they are held, and thrown away before anything new.
@@ -376,6 +388,12 @@ impl GrblWire {
                 // `$I` would not be answered.
                 self.dirty = true;
                 self.up(events);
+            }
+            State::Idle | State::Alarm if !placed && self.unplaced < UNPLACED_MAX => {
+                // `MPos` alone: nobody could see whether a first pick arrives.
+                self.unplaced += 1;
+                self.begin(Chore::Greet(now), now);
+                self.next_ask = now + ASK_OFTEN;
             }
             State::Idle | State::Alarm => {
                 self.own_line = Some(LineBuf::of("$I"));

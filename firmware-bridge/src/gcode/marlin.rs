@@ -7,7 +7,8 @@
 //! move that was planned, motion.cpp, `report_current_position_projected`.) An `ok` is not taken for the end of a
 //! question whose answer has not come. M410 and M112 are sent without a number, because only then Marlin looks at
 //! them before its queue; as one line at a time is on its way, the queue is never full and is read even while a
-//! command waits. After M410 it answers nothing for a second (planner.cpp, `cleaning_buffer_counter`).
+//! command waits. After M410 it answers nothing for a second (planner.cpp, `cleaning_buffer_counter`); whoever does
+//! has not taken it.
 //!
 //! Which number comes next Marlin says itself, in `Resend:`; a line of the wire's own takes that number. (M110 would set
 //! it once more when it is worked on, behind lines that were read meanwhile, and its `ok` looks like that of an
@@ -50,8 +51,13 @@ const LOOK_AGAIN: i64 = 50 * MS;
 const ANSWER_HOME: i64 = 15_000 * MS;
 /// After `Resend:` the rest of the refused bytes, and the `ok` that some builds add, pass by.
 const RESEND_PAUSE: i64 = 25 * MS;
-/// M410 is repeated: where a cut line came before it, it may be thrown away with that.
-const STOP_AGAIN: [i64; 2] = [60 * MS, 200 * MS];
+/// M410 is repeated once: where a cut line came before it, it may be thrown away with that. Every copy costs a build
+/// without `EMERGENCY_PARSER` another second, so further ones follow only when it is seen that none was taken.
+const STOP_AGAIN: i64 = 60 * MS;
+/// Whatever is answered sooner after M410 says that it was not taken: `cleaning_buffer_counter` is a second.
+const STOP_DEAF: i64 = 900 * MS;
+/// Copies of M410; a build that does not know it takes none of them.
+const STOPS_MAX: u8 = 4;
 /// Steps that still change when they were looked at so often: the controller is killed (M112).
 const STOP_LOOKS: u8 = 8;
 /// Without an answer after so long it is a lost connection.
@@ -72,10 +78,11 @@ enum Chore {
     None,
     /// M400, then M114.
     Sync(Asking),
-    /// M410 was sent so many times, first then; then M114 until it rests, M400, M114.
+    /// M410 was sent so many times, first and last then; then M114 until it rests, M400, M114.
     Stop {
-        sent: usize,
+        sent: u8,
         since: i64,
+        last: i64,
         asking: Asking,
         looks: u8,
     },
@@ -126,6 +133,8 @@ struct Flight {
     taken: bool,
     /// An `ok` came, of this question or of something else.
     ok_seen: bool,
+    /// Until then silence may be that of the command before it, whose `ok` came too early.
+    held_up_until: Option<i64>,
 }
 
 impl Flight {
@@ -158,6 +167,8 @@ pub struct MarlinWire {
     own_line: Option<(LineBuf, Kind)>,
     /// The answer to the question on its way.
     answered: Option<Question>,
+    /// So long the command that was acknowledged last may still be at work: a build that says `ok` before it has waited.
+    held_up_until: Option<i64>,
     position_mm: Option<[Option<f64>; 3]>,
     /// `Count` of the last two M114.
     steps: Option<[f64; 3]>,
@@ -259,6 +270,7 @@ impl MarlinWire {
             replaced: 0,
             taken: false,
             ok_seen: false,
+            held_up_until: self.held_up_until.take(),
         };
         self.flight = Some(flight);
         Self::encode(&flight, out)

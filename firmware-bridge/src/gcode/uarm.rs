@@ -1,9 +1,10 @@
 //! uArm Swift Pro: `#n command` answered by `$n ok …` or `$n E22`, one command and one question at a time.
 //!
 //! Firmware 4 (built on Grbl 0.9) answers a move when it is done, stops at `!` and says its state at `?`; firmware 3
-//! (built on Marlin 1.1) answers it when it is planned, stops at G2203 and is asked M2200 whether it moves. Either
-//! way an arm counts as arrived when two readings of its encoders (P2220) in a row agree. The encoders outlive a
-//! restart: the position is never unknown. Tags are not used again for a long time, so that an answer that comes
+//! (built on Marlin 1.1) answers it when it is planned, stops at a bare M410 and is asked M2200 whether it moves. Either
+//! way an arm counts as arrived when two readings of its encoders in a row agree: P2220, which firmware 3 answers
+//! with where it was sent, so there the angles of P2200 turned into a point by M2221. The encoders outlive a restart: the
+//! position is never unknown. Tags are not used again for a long time, so that an answer that comes
 //! late, or in another order, finds nobody waiting.
 //!
 //! Sources: uArm Swift Pro protocol V4 and its firmware's behaviour (github.com/uArm-Developer/SwiftProForArduino).
@@ -21,10 +22,14 @@ pub type Uarm = Driver<UarmWire>;
 
 /// A question, and a command that does not move, is answered within this time.
 const ANSWER: i64 = 1500 * MS;
+/// Firmware 3 cuts a move into short ones and answers when the last of them fits into its planner.
+const ANSWER_PLANNED: i64 = 30_000 * MS;
 /// Readings of the encoders are this far apart in time, and agree within so much when the arm stands.
 const LOOK_AGAIN: i64 = 60 * MS;
 const AGREE_MM: f64 = 1.0;
 const STOP_AGAIN: i64 = 120 * MS;
+/// Firmware 3 and its encoders differ by no more about where it stands.
+const BELIEF_MM: f64 = 10.0;
 /// Statuses that do not come: a firmware that did not say its version knows no `?`.
 const DEAF_STATUSES: u8 = 3;
 /// After a reset the first firmwares 4 say a banner, half a second later when they had to stop; later ones are silent.
@@ -74,12 +79,18 @@ enum LookFor {
 enum Asked {
     Version,
     Pose,
+    /// P2200, of firmware 3.
+    Angles,
+    /// P2220 of firmware 3: where it believes to be.
+    Believed,
     /// M2200.
     Moving,
     Held,
     Reach,
-    /// G2203.
+    /// M2000, behind M410: later builds of firmware 3 read their encoders anew.
     Stop,
+    /// G2203: firmware 3 answers when it stands.
+    StopDone,
     Line(Kind),
 }
 
@@ -106,7 +117,7 @@ pub struct UarmWire {
     own_line: Option<(LineBuf, Asked)>,
     /// Not to be sent before.
     own_not_before: i64,
-    urgent: Option<u8>,
+    urgent: Option<&'static [u8]>,
     ask: bool,
     ask_sent: Option<i64>,
     /// The first `?` that no status has answered; one that comes late must not look as if it came fast.
@@ -117,6 +128,10 @@ pub struct UarmWire {
     /// The version says so; silence does not change it.
     realtime_certain: bool,
     deaf_statuses: u8,
+    /// Bytes that are a line's begin for firmware 3 went out and the version is not certain.
+    half_line: bool,
+    /// Firmware 3 knows how to turn its encoders' angles into a point.
+    turns_angles: bool,
     heard: i64,
     last_pose_mm: Option<[f64; 3]>,
     last_status_mm: Option<[f64; 3]>,
@@ -164,11 +179,28 @@ impl UarmWire {
 
     fn look(&mut self, what_for: LookFor, now: i64) {
         self.begin(Chore::Look(what_for), now);
-        let (text, asked) = if self.realtime { ("P2220", Asked::Pose) } else { ("M2200", Asked::Moving) };
-        self.own(text, asked, now);
+        self.look_again(now);
         // A status on its way was asked for too early.
         self.ask_sent = None;
         self.next_ask = now;
+    }
+
+    /// Asks where it stands; firmware 3 first whether it does.
+    fn look_again(&mut self, not_before: i64) {
+        if self.realtime {
+            self.own("P2220", Asked::Pose, not_before);
+        } else {
+            self.own("M2200", Asked::Moving, not_before);
+        }
+    }
+
+    /// Asks the encoders.
+    fn ask_pose(&mut self, not_before: i64) {
+        if self.realtime || !self.turns_angles {
+            self.own("P2220", Asked::Pose, not_before);
+        } else {
+            self.own("P2200", Asked::Angles, not_before);
+        }
     }
 
     fn launch(
@@ -192,6 +224,9 @@ impl UarmWire {
         head.integer(u64::from(self.tag));
         head.byte(b' ');
         let mut len = 0;
+        if core::mem::take(&mut self.half_line) {
+            put(out, &mut len, b"\n");
+        }
         put(out, &mut len, head.as_bytes());
         put(out, &mut len, text.as_bytes());
         put(out, &mut len, b"\n");
@@ -213,6 +248,7 @@ impl UarmWire {
         self.begin(Chore::Greet(now), now);
         self.realtime = true;
         self.realtime_certain = false;
+        self.turns_angles = true;
         self.deaf_statuses = 0;
         self.greeted_version = false;
         self.ask_sent = None;
@@ -230,10 +266,16 @@ impl UarmWire {
         self.begin(Chore::Stop { since: now, again: now, greeting }, now);
         self.dirty = true;
         self.next_ask = now;
+        self.send_stop(now);
+    }
+
+    fn send_stop(&mut self, now: i64) {
         if self.realtime {
-            self.urgent = Some(b'!');
+            self.urgent = Some(b"!");
         } else {
-            self.own("G2203", Asked::Stop, now);
+            // Without a tag, because only then it is looked at before the queue.
+            self.urgent = Some(b"\nM410\n");
+            self.own("M2000", Asked::Stop, now);
         }
     }
 

@@ -27,9 +27,18 @@ pub(super) fn is_banner(text: &str) -> bool {
 
 /// Whether a version number, as in `1.1h` or `1.1h.20190825:`, is 1.1 or later.
 pub(super) fn understood(version: &str) -> bool {
-    let Some((major, rest)) = line::leading_integer(version.trim_start()) else { return true };
+    number(version).is_none_or(|number| number >= (1, 1))
+}
+
+/// Whether it is 1.1, as Grbl and grblHAL say; `1.3a` is Grbl_Esp32, `3.7` FluidNC.
+pub(super) fn is_first(version: &str) -> bool {
+    number(version) == Some((1, 1))
+}
+
+fn number(version: &str) -> Option<(u32, u32)> {
+    let (major, rest) = line::leading_integer(version.trim_start())?;
     let minor = rest.strip_prefix('.').and_then(line::leading_integer).map_or(0, |(minor, _)| minor);
-    (major, minor) >= (1, 1)
+    Some((major, minor))
 }
 
 /// A status report.

@@ -236,7 +236,7 @@ fn a_hold_at_the_arm_is_noticed_and_an_old_grbl_is_refused() {
 
     let mut desk = Desk::new("");
     desk.hear("\r\nGrbl 0.9j ['$' for help]\r\n");
-    desk.status("Idle|MPos:0.000,0.000,0.000");
+    desk.status("Idle|WPos:0.000,0.000,0.000");
     // A byte of the banner may have got lost: it is asked once more.
     desk.hear("ok\r\n");
     assert_eq!(desk.told(), []);
@@ -250,7 +250,7 @@ fn a_hold_at_the_arm_is_noticed_and_an_old_grbl_is_refused() {
 fn a_version_that_lost_a_byte_is_asked_for_again() {
     let mut desk = Desk::new("");
     desk.hear("\r\nGrbl .1h ['$' for help]\r\n");
-    assert_eq!(desk.status("Idle|MPos:0.000,0.000,0.000"), "$I\\n");
+    assert_eq!(desk.status("Idle|WPos:0.000,0.000,0.000"), "$I\\n");
     desk.hear("[VER:1.0h.20190825:]\r\nok\r\n");
     assert_eq!(desk.told(), []);
     assert_eq!(desk.wait(600), "$I\\n");
@@ -344,4 +344,51 @@ fn positions_in_inches_are_read_as_what_they_are() {
     // One number with a digit doubled on the wire makes no inches.
     let mm = Status::parse("Idle|WPos:1.0000,-2.000,0.500").unwrap();
     assert_eq!(mm.position_mm(None), [Some(1.0), Some(-2.0), Some(0.5)]);
+}
+
+#[test]
+fn a_controller_whose_place_is_not_known_yet_is_asked_until_it_is() {
+    // Opened without a reset the work offset comes with the thirtieth report only.
+    let mut desk = Desk::new("");
+    desk.wait(102);
+    for _ in 0..29 {
+        let sent = desk.hear("<Idle|MPos:-10.000,0.000,0.000|FS:0,0>\r\n") + &desk.wait(40);
+        assert_eq!(sent, "");
+    }
+    let sent = desk.hear("<Idle|MPos:-10.000,0.000,0.000|FS:0,0|WCO:5.000,0.000,0.000>\r\n");
+    assert_eq!(sent, "$I\\n");
+    // One that never says it can be used; work coordinates need none.
+    for (status, count) in
+        [("<Idle|MPos:0.000,0.000,0.000>\r\n", 41), ("<Idle|WPos:0.000,0.000,0.000>\r\n", 1)]
+    {
+        let mut desk = Desk::new("");
+        desk.wait(102);
+        let sent: Vec<_> = (0..count).map(|_| desk.hear(status) + &desk.wait(40)).collect();
+        assert_eq!(sent.concat(), "$I\\n", "{status}");
+        assert_eq!(sent.last().unwrap(), "$I\\n", "{status}");
+    }
+}
+
+#[test]
+fn ports_that_answer_a_dwell_of_zero_at_once_get_a_longer_one() {
+    for (banner, info) in [
+        (
+            "Grbl 3.7 [FluidNC v3.7.8 (esp32-wifi) '$' for help]",
+            "[VER:3.7 FluidNC v3.7.8 (esp32-wifi):]\r\n[OPT:PH]",
+        ),
+        ("Grbl 1.3a ['$' for help]", "[VER:1.3a.20220101:]\r\n[OPT:PHBW]"),
+    ] {
+        let mut desk = Desk::new("");
+        desk.hear(&format!("[MSG:INFO: Using driver TMC]\r\n\r\n{banner}\r\n"));
+        assert_eq!(desk.status("Idle|MPos:0.000,0.000,0.000|FS:0,0|WCO:0.000,0.000,0.000"), "$I\\n");
+        desk.hear(&format!("{info}\r\nok\r\n"));
+        desk.grbl.command(Command::Release, desk.now_ns).unwrap();
+        desk.wait(300);
+        desk.hear("ok\r\n");
+        desk.hear("ok\r\n");
+        let pick = desk.pick();
+        desk.grbl.command(Command::Pick(pick), desk.now_ns).unwrap();
+        desk.wait(2);
+        assert_eq!(desk.hear("ok\r\nok\r\nok\r\n"), "G4 P0.001\\n", "{banner}");
+    }
 }

@@ -42,12 +42,16 @@ impl Wire for GrblWire {
             locked: false,
             idle_since: None,
             offset_mm: None,
+            unplaced: 0,
+            zero_dwell_waits: false,
             held_sign: arm.moves.held.as_ref().map_or_else(Box::default, |held| held.expect.as_str().into()),
         }
     }
 
     fn open(&mut self, now: i64) {
         self.greet(now);
+        // Another program may have set another one meanwhile.
+        self.offset_mm = None;
         self.rx_len = RX_LEN;
         self.begin(Chore::Banner(now + self.banner_wait), now);
     }
@@ -63,6 +67,7 @@ impl Wire for GrblWire {
         self.asked = None;
         self.asked_since = None;
         self.unanswered = 0;
+        self.unplaced = 0;
         self.foreign = false;
         self.old_version = false;
         self.alarm = None;
@@ -224,7 +229,8 @@ impl Wire for GrblWire {
     }
 
     fn sync(&mut self, now: i64) {
-        self.own_line = Some(LineBuf::of("G4 P0"));
+        let wait = if self.zero_dwell_waits { "G4 P0" } else { "G4 P0.001" };
+        self.own_line = Some(LineBuf::of(wait));
         self.begin(Chore::Sync { done: false }, now);
         self.next_ask = now + ASK_OFTEN;
     }

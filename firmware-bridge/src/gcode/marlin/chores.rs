@@ -31,6 +31,14 @@ impl MarlinWire {
                     _ => Event::Standing(self.position_mm.unwrap_or_default()),
                 });
             }
+            Chore::Stop { asking: Asking::Look, sent, last, .. }
+                if now - last < STOP_DEAF && sent < STOPS_MAX =>
+            {
+                self.stop_again("\nM410\n", now);
+                self.steps = None;
+                self.own("M114", Kind::Modal);
+                self.own_not_before = now + LOOK_AGAIN;
+            }
             Chore::Stop { asking: Asking::Look, looks, .. } if !self.rests() => {
                 if looks >= STOP_LOOKS {
                     // It moves on in spite of M410.
@@ -47,9 +55,9 @@ impl MarlinWire {
             }
             Chore::Sync(asking) => self.chore = Chore::Sync(self.next_asking(asking)),
             Chore::Settle(asking) => self.chore = Chore::Settle(self.next_asking(asking)),
-            Chore::Stop { sent, since, asking, looks } => {
+            Chore::Stop { sent, since, last, asking, looks } => {
                 let asking = self.next_asking(asking);
-                self.chore = Chore::Stop { sent, since, asking, looks };
+                self.chore = Chore::Stop { sent, since, last, asking, looks };
             }
             Chore::Unlock => {
                 self.begin(Chore::None);
@@ -61,6 +69,15 @@ impl MarlinWire {
                 events.push(Event::Held(held));
             }
             Chore::Closed | Chore::Banner(_) | Chore::None => {}
+        }
+    }
+
+    /// Another M410.
+    pub(super) fn stop_again(&mut self, bytes: &str, now: i64) {
+        self.urgent = Some(LineBuf::of(bytes));
+        if let Chore::Stop { sent, last, .. } = &mut self.chore {
+            *sent += 1;
+            *last = now;
         }
     }
 
@@ -92,9 +109,16 @@ impl MarlinWire {
             return self.ask_anew();
         }
         flight.tries += 1;
-        if flight.tries <= self.tries_max {
+        let until = flight.held_up_until.filter(|&until| now < until);
+        if flight.tries <= self.tries_max || until.is_some() {
             // The number keeps it from being executed twice.
             flight.resend = Some(now);
+            if let Some(until) = until {
+                // A second copy will do: each is complained about when the wait is over, and a receive buffer is small.
+                flight.tries = 1;
+                flight.patience = until - now;
+                return;
+            }
             if flight.patience >= ANSWER_WAITING && flight.kind != Some(Kind::Home) {
                 flight.patience = ANSWER_WAITED;
             }

@@ -95,6 +95,7 @@ impl MarlinWire {
         self.dead = false;
         self.number = 0;
         self.quickstop = false;
+        self.held_up_until = None;
         match self.chore {
             Chore::Closed => {}
             Chore::Banner(_) | Chore::Greet(..) => self.say_hello(now),
@@ -193,6 +194,9 @@ impl MarlinWire {
             return;
         }
         self.quickstop &= flight.asks.is_none();
+        if matches!(flight.kind, Some(Kind::Dwell | Kind::Home)) || flight.text.as_bytes() == b"M400" {
+            self.held_up_until = Some(flight.sent + flight.patience.max(ANSWER_WAITING));
+        }
         if flight.replaced > 0 {
             return events.push(Event::LineExpired);
         }

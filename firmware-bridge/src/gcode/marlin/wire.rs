@@ -31,6 +31,7 @@ impl Wire for MarlinWire {
             urgent: None,
             own_line: None,
             answered: None,
+            held_up_until: None,
             position_mm: None,
             steps: None,
             steps_before: None,
@@ -101,13 +102,10 @@ impl Wire for MarlinWire {
                 self.begin(Chore::None);
                 return events.push(Event::Silent);
             }
-            Chore::Stop { sent, since, asking, looks } if sent < STOP_AGAIN.len() => {
-                if now - since >= STOP_AGAIN[sent] {
-                    self.urgent = Some(LineBuf::of("M410\n"));
-                    self.chore = Chore::Stop { sent: sent + 1, since, asking, looks };
-                    if sent + 1 == STOP_AGAIN.len() {
-                        self.own("M114", Kind::Modal);
-                    }
+            Chore::Stop { sent: 1, since, .. } => {
+                if now - since >= STOP_AGAIN {
+                    self.stop_again("M410\n", now);
+                    self.own("M114", Kind::Modal);
                 }
                 return;
             }
@@ -129,9 +127,7 @@ impl Wire for MarlinWire {
             Chore::Closed => return None,
             Chore::Banner(until) => return Some(until),
             Chore::Greet(_, since) => Some(since + self.greeting()),
-            Chore::Stop { sent, since, .. } => {
-                Some(since + STOP_AGAIN.get(sent).copied().unwrap_or(STOP_LOST))
-            }
+            Chore::Stop { sent, since, .. } => Some(since + if sent == 1 { STOP_AGAIN } else { STOP_LOST }),
             Chore::None if !self.dead && self.flight.is_none() => Some(self.next_poll),
             _ => None,
         };
@@ -216,7 +212,7 @@ impl Wire for MarlinWire {
     fn stop(&mut self, now: i64) {
         self.urgent = Some(LineBuf::of("\nM410\n"));
         if !matches!(self.chore, Chore::Closed | Chore::Banner(_) | Chore::Greet(..)) {
-            self.begin(Chore::Stop { sent: 0, since: now, asking: Asking::Look, looks: 0 });
+            self.begin(Chore::Stop { sent: 1, since: now, last: now, asking: Asking::Look, looks: 0 });
         }
     }
 

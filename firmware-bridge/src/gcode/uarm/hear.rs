@@ -47,9 +47,12 @@ impl UarmWire {
         }
         // Later builds of firmware 4 say `ok @9 V0` to a stop byte, and who they are before their banner.
         let chat = ["@", "[", "ok", "OK", "device name", "soft ver", "api ver", "work mode"];
-        let known = chat.iter().any(|begin| text.starts_with(begin));
+        // Firmware 3 starts with the `echo:` lines of its Marlin.
+        let unknown = text.starts_with("echo:Unknown command");
+        let known =
+            chat.iter().any(|begin| text.starts_with(begin)) || (text.starts_with("echo:") && !unknown);
         if !known {
-            let other = text.starts_with("Grbl") || text.starts_with("echo:") || text.starts_with("error:");
+            let other = unknown || text.starts_with("Grbl") || text.starts_with("error:");
             self.foreign |= other && matches!(self.chore, Chore::Greet(_));
             events.garbage += text.len() as u32;
         }
@@ -112,10 +115,10 @@ impl UarmWire {
                     // Only firmware 4 does not know the question.
                     self.realtime = true;
                 }
-                let moving = ok && value.contains("V1");
-                let (text, asked) = if moving { ("M2200", Asked::Moving) } else { ("P2220", Asked::Pose) };
-                self.own(text, asked, if moving { now + LOOK_AGAIN } else { now });
+                self.moving(ok && value.contains("V1"), now);
             }
+            Asked::Angles => self.turned(ok.then_some(value), now),
+            Asked::Believed => self.believes(pose(value), now, events),
             Asked::Pose => self.posed(ok, value, now, events),
             Asked::Held => {
                 self.chore = Chore::None;
@@ -129,20 +132,62 @@ impl UarmWire {
             Asked::Stop if !ok => {
                 // It is no firmware 3: stop it as firmware 4 is stopped.
                 self.realtime = true;
-                self.urgent = Some(b'!');
+                self.urgent = Some(b"!");
             }
-            // Firmware 3 was told to stop; the encoders say when it stands.
-            Asked::Stop => self.own("P2220", Asked::Pose, now),
+            Asked::Stop => self.own("G2203", Asked::StopDone, now),
+            // The encoders say whether it does.
+            Asked::StopDone => self.look_again(now),
         }
+    }
+
+    /// Firmware 3 says whether it moves.
+    fn moving(&mut self, moving: bool, now: i64) {
+        self.runs = moving;
+        match self.chore {
+            Chore::Look(LookFor::Greeting) if moving => self.halt(true, now),
+            Chore::Stop { .. } if moving => self.send_stop(now),
+            _ => self.ask_pose(now),
+        }
+    }
+
+    /// The angles of firmware 3's encoders are made a point by itself.
+    fn turned(&mut self, angles: Option<&str>, now: i64) {
+        let mut line = LineBuf::of("M2221");
+        for letter in ['B', 'L', 'R'] {
+            let angle = angles.and_then(|angles| line::word(angles, letter));
+            line.byte(b' ');
+            line.byte(letter as u8);
+            if !angle.is_some_and(|angle| line.decimal(angle, 3)) {
+                // A byte lost, or an encoder.
+                return self.look_again(now + LOOK_AGAIN);
+            }
+        }
+        self.own_line = Some((line, Asked::Pose));
+        self.own_not_before = now;
+    }
+
+    /// After a stop firmware 3 may go on from where its encoders never were: only a restart reads them.
+    fn believes(&mut self, pose_mm: Option<[f64; 3]>, now: i64, events: &mut Events) {
+        let (Some(believed), Some(seen)) = (pose_mm, self.last_pose_mm) else {
+            return self.own("P2220", Asked::Believed, now + LOOK_AGAIN);
+        };
+        let unlock = self.chore == Chore::Look(LookFor::Settled { unlock: true });
+        self.begin(Chore::None, now);
+        events.push(match (far(believed, seen) <= BELIEF_MM, unlock) {
+            (false, _) => Event::Alarm { code: CODE_ELSEWHERE, position_lost: true },
+            (true, false) => Event::Settled,
+            (true, true) => Event::Unlocked,
+        });
     }
 
     /// A reading of the encoders.
     fn posed(&mut self, ok: bool, value: &str, now: i64, events: &mut Events) {
         let Some(pose_mm) = pose(value) else {
-            // NaN, or a byte lost: look again.
+            // An early firmware 3 does not turn angles; NaN, or a byte lost: look again.
+            self.turns_angles &= !(ok && value.is_empty());
             events.garbage += value.len() as u32;
             if !ok || matches!(self.chore, Chore::Look(_) | Chore::Stop { .. }) {
-                self.own("P2220", Asked::Pose, now + LOOK_AGAIN);
+                self.look_again(now + LOOK_AGAIN);
             }
             return;
         };
@@ -154,19 +199,22 @@ impl UarmWire {
         let what_for = match self.chore {
             Chore::Look(what_for) => what_for,
             Chore::Stop { greeting, .. } if stands => return self.stopped(greeting, now, events),
-            Chore::Stop { .. } => return self.own("P2220", Asked::Pose, now + LOOK_AGAIN),
+            Chore::Stop { .. } => return self.look_again(now + LOOK_AGAIN),
             _ => return,
         };
         // Slow moves look like rest to the encoders; the status, where there is one, does not.
-        let stands = stands && (self.rests || !self.realtime);
+        let stands = stands && if self.realtime { self.rests } else { !self.runs };
         if !stands {
             let moves = before.is_some_and(|before| far(before, pose_mm) > AGREE_MM);
             if moves && what_for == LookFor::Greeting {
                 // It moves although nobody here told it to.
                 return self.halt(true, now);
             }
-            self.own("P2220", Asked::Pose, now + LOOK_AGAIN);
+            self.look_again(now + LOOK_AGAIN);
             return self.moved_to(pose_mm, now, events);
+        }
+        if !self.realtime && self.turns_angles && matches!(what_for, LookFor::Settled { .. }) {
+            return self.own("P2220", Asked::Believed, now);
         }
         self.begin(Chore::None, now);
         events.push(match what_for {

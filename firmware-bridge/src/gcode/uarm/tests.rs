@@ -5,6 +5,8 @@ use crate::config::Settings;
 use crate::dialect::TRANSMIT_LEN_MIN;
 use crate::message::{Command, Failure, HeldBy, Refusal, Report};
 
+mod firmware_3;
+
 /// The cell's end, a clock, and a person who types what the uArm would say; `?` is answered by itself.
 struct Desk {
     uarm: Uarm,
@@ -191,21 +193,6 @@ fn an_arm_that_does_not_arrive_fails_the_pick_and_nan_is_looked_at_again() {
 }
 
 #[test]
-fn firmware_3_is_asked_whether_it_moves_and_stopped_by_its_own_command() {
-    let mut desk = Desk::new();
-    desk.state = None;
-    desk.hear("@1\n");
-    assert_eq!(desk.hear("$1 ok V3.2.0\n"), "#2 M2200\\n");
-    assert_eq!(desk.hear("$2 ok V1\n"), "");
-    assert_eq!(desk.wait(70), "#3 M2200\\n");
-    let sent = desk.hear("$3 ok V0\n");
-    desk.stand(sent, "X200.0000 Y0.0000 Z150.0000");
-    assert_eq!(desk.told(), [Report::Connected { session: 7, held_by: HeldBy::Start }]);
-    desk.uarm.command(Command::Hold, desk.now_ns).unwrap();
-    assert!(desk.wait(1).ends_with(" G2203\\n"));
-}
-
-#[test]
 fn lost_statuses_make_no_other_firmware_of_one_that_said_its_version() {
     let mut desk = Desk::new();
     desk.connect();
@@ -217,21 +204,6 @@ fn lost_statuses_make_no_other_firmware_of_one_that_said_its_version() {
     }
     desk.uarm.command(Command::Hold, desk.now_ns).unwrap();
     assert!(desk.wait(1).contains("|!"));
-}
-
-#[test]
-fn a_firmware_that_does_not_know_the_stop_of_firmware_3_is_stopped_as_firmware_4() {
-    let mut desk = Desk::new();
-    desk.state = None;
-    desk.hear("@1\n");
-    let sent = desk.hear("$1 ok V3.2.0\n");
-    assert_eq!(sent, "#2 M2200\\n");
-    let sent = desk.hear("$2 ok V0\n");
-    desk.stand(sent, "X200.0000 Y0.0000 Z150.0000");
-    desk.uarm.command(Command::Hold, desk.now_ns).unwrap();
-    let sent = desk.wait(1);
-    let tag = sent.trim_start_matches('#').split(' ').next().unwrap();
-    assert_eq!(desk.hear(&format!("${tag} E20\n")), "|!");
 }
 
 #[test]

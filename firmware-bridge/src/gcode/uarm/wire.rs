@@ -38,6 +38,8 @@ impl Wire for UarmWire {
             realtime: true,
             realtime_certain: false,
             deaf_statuses: 0,
+            half_line: false,
+            turns_angles: true,
             heard: 0,
             last_pose_mm: None,
             last_status_mm: None,
@@ -105,16 +107,14 @@ impl Wire for UarmWire {
                 self.say_hello(now);
                 self.deaf_statuses = 1;
                 if held {
-                    self.urgent = Some(0x18);
+                    self.urgent = Some(b"\x18");
                 }
                 return;
             }
             Chore::Stop { since, again, greeting } if now - again >= STOP_AGAIN => {
                 self.chore = Chore::Stop { since, again: now, greeting };
-                if self.realtime {
-                    self.urgent = Some(b'!');
-                } else if self.flight.is_none() && self.own_line.is_none() {
-                    self.own("G2203", Asked::Stop, now);
+                if self.realtime || (self.flight.is_none() && self.own_line.is_none()) {
+                    self.send_stop(now);
                 }
             }
             Chore::Settle { reset: Some(at), unlock } if now - at >= BANNER => {
@@ -129,7 +129,7 @@ impl Wire for UarmWire {
             self.flight = None;
             match flight.asked {
                 Asked::Line(_) => events.push(Event::LineFailed(CODE_UNANSWERED)),
-                Asked::Version | Asked::Stop => {}
+                Asked::Version | Asked::Stop | Asked::StopDone => {}
                 _ => return events.push(Event::Silent),
             }
         }
@@ -156,7 +156,7 @@ impl Wire for UarmWire {
             && now >= self.next_ask
         {
             self.next_ask = now + self.heartbeat;
-            self.own("P2220", Asked::Pose, now);
+            self.ask_pose(now);
         }
     }
 
@@ -185,8 +185,9 @@ impl Wire for UarmWire {
 
     fn transmit(&mut self, now: i64, out: &mut [u8]) -> (usize, bool) {
         let mut len = 0;
-        if let Some(byte) = self.urgent.take() {
-            put(out, &mut len, &[byte]);
+        if let Some(bytes) = self.urgent.take() {
+            put(out, &mut len, bytes);
+            self.half_line = !self.realtime_certain && !bytes.ends_with(b"\n");
             return (len, true);
         }
         if core::mem::take(&mut self.leave_alarm) {
@@ -195,6 +196,7 @@ impl Wire for UarmWire {
         }
         if core::mem::take(&mut self.ask) {
             put(out, &mut len, b"?");
+            self.half_line |= !self.realtime_certain;
             self.ask_sent = Some(now);
             self.ask_since.get_or_insert(now);
             return (len, false);
@@ -225,7 +227,11 @@ impl Wire for UarmWire {
     fn send(&mut self, line: &LineBuf, about: About, now: i64, out: &mut [u8]) -> usize {
         let kind = about.kind;
         // Firmware 4 answers a move when it is done: the status and the pick's own time-out watch over it.
-        let patience = (kind != Kind::Motion || !self.realtime).then_some(ANSWER);
+        let patience = match kind {
+            Kind::Motion if self.realtime => None,
+            Kind::Motion => Some(ANSWER_PLANNED),
+            _ => Some(ANSWER),
+        };
         self.idle_since = None;
         (self.watch, self.lingers) = (None, None);
         self.next_watch = now + WATCH;
@@ -244,8 +250,10 @@ impl Wire for UarmWire {
             | Chore::Look(LookFor::Greeting)
             | Chore::Stop { greeting: true, .. } => {
                 if self.realtime {
-                    self.urgent = Some(b'!');
+                    self.urgent = Some(b"!");
                     self.dirty = true;
+                } else {
+                    self.halt(true, now);
                 }
             }
             _ => self.halt(false, now),
@@ -255,7 +263,7 @@ impl Wire for UarmWire {
     fn settle(&mut self, now: i64) {
         if self.dirty && self.realtime {
             self.begin(Chore::Settle { reset: Some(now), unlock: false }, now);
-            self.urgent = Some(0x18);
+            self.urgent = Some(b"\x18");
         } else {
             self.dirty = false;
             self.look(LookFor::Settled { unlock: false }, now);
@@ -264,8 +272,12 @@ impl Wire for UarmWire {
 
     fn unlock(&mut self, now: i64) {
         self.alarm = None;
+        if !self.realtime {
+            self.dirty = false;
+            return self.look(LookFor::Settled { unlock: true }, now);
+        }
         self.begin(Chore::Settle { reset: Some(now), unlock: true }, now);
-        self.urgent = Some(0x18);
+        self.urgent = Some(b"\x18");
     }
 
     fn ask_held(&mut self, question: &LineBuf, now: i64) {
