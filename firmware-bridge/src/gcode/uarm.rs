@@ -28,6 +28,8 @@ const ANSWER_PLANNED: i64 = 30_000 * MS;
 const LOOK_AGAIN: i64 = 60 * MS;
 const AGREE_MM: f64 = 1.0;
 const STOP_AGAIN: i64 = 120 * MS;
+/// An answer without a point may have lost it on its way.
+const UNTURNED_MAX: u8 = 3;
 /// Firmware 3 and its encoders differ by no more about where it stands.
 const BELIEF_MM: f64 = 10.0;
 /// Statuses that do not come: a firmware that did not say its version knows no `?`.
@@ -130,8 +132,10 @@ pub struct UarmWire {
     deaf_statuses: u8,
     /// Bytes that are a line's begin for firmware 3 went out and the version is not certain.
     half_line: bool,
-    /// Firmware 3 knows how to turn its encoders' angles into a point.
-    turns_angles: bool,
+    /// The version was asked for again, because the statuses do not come.
+    doubted: bool,
+    /// So often in a row firmware 3 had no point for its encoders' angles.
+    unturned: u8,
     heard: i64,
     last_pose_mm: Option<[f64; 3]>,
     last_status_mm: Option<[f64; 3]>,
@@ -194,9 +198,14 @@ impl UarmWire {
         }
     }
 
+    /// Firmware 3 knows how to turn its encoders' angles into a point; its first builds answer without one.
+    fn turns_angles(&self) -> bool {
+        self.unturned < UNTURNED_MAX
+    }
+
     /// Asks the encoders.
     fn ask_pose(&mut self, not_before: i64) {
-        if self.realtime || !self.turns_angles {
+        if self.realtime || !self.turns_angles() {
             self.own("P2220", Asked::Pose, not_before);
         } else {
             self.own("P2200", Asked::Angles, not_before);
@@ -248,12 +257,25 @@ impl UarmWire {
         self.begin(Chore::Greet(now), now);
         self.realtime = true;
         self.realtime_certain = false;
-        self.turns_angles = true;
+        self.unturned = 0;
         self.deaf_statuses = 0;
         self.greeted_version = false;
         self.ask_sent = None;
         self.ask_since = None;
         self.own("P2203", Asked::Version, now);
+    }
+
+    /// A firmware whose version is not known answers no `?`.
+    fn doubt(&mut self, now: i64) {
+        if self.chore != Chore::Look(LookFor::Greeting) {
+            self.realtime &= self.dirty;
+        } else if !core::mem::replace(&mut self.doubted, true) {
+            // Its version may have lost a byte.
+            self.say_hello(now);
+        } else {
+            self.realtime = false;
+            self.look(LookFor::Greeting, now);
+        }
     }
 
     /// A move is on its way, of a firmware that answers questions meanwhile.

@@ -8,6 +8,8 @@
 //! a build without `EMERGENCY_PARSER` does the same once more when M410 comes out of its queue. What M114 says,
 //! `Count` included, is where the last planned move ends. A servo keeps the firmware from reading for 300 ms.
 
+mod uarm_3;
+
 use super::motion::Mechanics;
 use super::noise::Noise;
 use super::{Faults, Motion};
@@ -80,6 +82,8 @@ pub struct MarlinFirmware {
     holds_part: bool,
     /// When moves that were planned at rest begin.
     first_move_ns: Option<i64>,
+    /// What the uArm's firmware 3 has to say about the command at work.
+    uarm: Option<uarm_3::Answer>,
     out: VecDeque<u8>,
 }
 
@@ -109,6 +113,7 @@ impl MarlinFirmware {
             closed: false,
             holds_part: false,
             first_move_ns: None,
+            uarm: None,
             out: VecDeque::with_capacity(512),
         }
     }
@@ -218,7 +223,7 @@ impl MarlinFirmware {
         }
         match self.busy {
             Busy::Boot(at) if now_ns >= at => {
-                self.say(BANNER);
+                self.say(if self.uarm.is_some() { uarm_3::BANNER } else { BANNER });
                 self.busy = Busy::Free;
             }
             Busy::Command(at) if now_ns >= at => self.busy = Busy::Free,
@@ -226,7 +231,9 @@ impl MarlinFirmware {
                 self.arm.plan(to_mm, speed_mm_s);
                 self.noise.begin_move(now_ns);
                 if !self.arm.is_moving() {
-                    self.first_move_ns.get_or_insert(now_ns + FIRST_MOVE_NS);
+                    // Marlin 1.1 begins at once.
+                    let wait_ns = if self.uarm.is_some() { 0 } else { FIRST_MOVE_NS };
+                    self.first_move_ns.get_or_insert(now_ns + wait_ns);
                 }
                 self.finish(now_ns);
             }
@@ -308,7 +315,8 @@ impl MarlinFirmware {
     fn quick_stop(&mut self, now_ns: i64) {
         self.arm.kill(now_ns);
         self.first_move_ns = None;
-        self.cleaning_until_ns = now_ns + CLEANING_NS;
+        // Marlin 1.1 drops moves for a while and works on what follows.
+        self.cleaning_until_ns = if self.uarm.is_some() { now_ns } else { now_ns + CLEANING_NS };
     }
 
     fn refuse_line(&mut self, why: &str) {
@@ -320,7 +328,7 @@ impl MarlinFirmware {
     /// The command at the head of the queue is done.
     fn finish(&mut self, now_ns: i64) {
         let command = self.queue.pop_front().unwrap_or_default();
-        let mut ok = String::from("ok");
+        let mut ok = self.uarm.as_mut().map_or_else(|| String::from("ok"), uarm_3::Answer::take);
         if self.advanced_ok {
             if let Some(numbered) = command.strip_prefix('N') {
                 ok.push_str(&format!(" N{}", leading(numbered)));
@@ -340,6 +348,7 @@ impl MarlinFirmware {
             Some(numbered) => numbered.trim_start_matches(|c: char| c.is_ascii_digit()).trim_start(),
             None => text,
         };
+        let Some(text) = self.untagged(text, now_ns) else { return };
         let letter = text.chars().next().unwrap_or(' ').to_ascii_uppercase();
         let code = leading(text.get(1..).unwrap_or("")) as u32;
         let word = |letter: char| -> Option<f64> {
@@ -418,7 +427,10 @@ impl MarlinFirmware {
             to_mm[axis] = value + if self.relative { to_mm[axis] } else { 0.0 };
         }
         if self.noise.refuses() {
-            self.say("echo:Home XYZ First\r\n");
+            match &mut self.uarm {
+                Some(answer) => answer.refuse("E22"),
+                None => self.say("echo:Home XYZ First\r\n"),
+            }
             to_mm = self.arm.destination();
         }
         self.busy = Busy::PlannerFull { to_mm, speed_mm_s: self.feed_mm_min / 60.0 };

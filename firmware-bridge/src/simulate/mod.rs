@@ -36,9 +36,9 @@ pub enum Firmware {
     Own(OwnFirmware),
     /// Grbl 1.1.
     Grbl(GrblFirmware),
-    /// Marlin 2.
+    /// Marlin 2, and the uArm Swift Pro with firmware 3.
     Marlin(MarlinFirmware),
-    /// uArm Swift Pro.
+    /// uArm Swift Pro with firmware 4.
     Uarm(UarmFirmware),
 }
 
@@ -60,6 +60,9 @@ impl Firmware {
             DialectName::Own => Firmware::Own(OwnFirmware::new(park_mm, faults)),
             DialectName::Grbl => Firmware::Grbl(GrblFirmware::new(park_mm, faults)),
             DialectName::Marlin => Firmware::Marlin(MarlinFirmware::new(park_mm, faults)),
+            DialectName::Uarm if faults.first_generation() => {
+                Firmware::Marlin(MarlinFirmware::uarm_3(park_mm, faults))
+            }
             DialectName::Uarm => Firmware::Uarm(UarmFirmware::new(park_mm, faults)),
         }
     }
@@ -254,6 +257,11 @@ impl Faults {
     /// Of two builds of a firmware that behave differently, whether it is the later one: with odd seeds.
     pub fn later_build(&self) -> bool {
         self.seed % 2 == 1
+    }
+
+    /// Of firmwares that share nothing but their purpose, whether it is the older one: with every fourth seed.
+    pub fn first_generation(&self) -> bool {
+        self.seed % 4 == 2
     }
 
     /// Whether this fault may happen.

@@ -107,6 +107,7 @@ impl UarmWire {
                 let major = line::leading_integer(value.trim_start_matches(['V', 'v']));
                 self.realtime = major.is_none_or(|(major, _)| major >= 4);
                 self.realtime_certain = major.is_some();
+                self.doubted &= major.is_none();
                 self.greeted_version = true;
                 self.look(LookFor::Greeting, now);
             }
@@ -184,13 +185,16 @@ impl UarmWire {
     fn posed(&mut self, ok: bool, value: &str, now: i64, events: &mut Events) {
         let Some(pose_mm) = pose(value) else {
             // An early firmware 3 does not turn angles; NaN, or a byte lost: look again.
-            self.turns_angles &= !(ok && value.is_empty());
+            self.unturned = self.unturned.saturating_add(u8::from(ok && value.is_empty()));
             events.garbage += value.len() as u32;
             if !ok || matches!(self.chore, Chore::Look(_) | Chore::Stop { .. }) {
                 self.look_again(now + LOOK_AGAIN);
             }
             return;
         };
+        if self.turns_angles() {
+            self.unturned = 0;
+        }
         if self.chore == Chore::None {
             return events.push(Event::Resting(pose_mm.map(Some)));
         }
@@ -211,9 +215,13 @@ impl UarmWire {
                 return self.halt(true, now);
             }
             self.look_again(now + LOOK_AGAIN);
-            return self.moved_to(pose_mm, now, events);
+            // Where it was sent does not change on the way.
+            if self.realtime || self.turns_angles() {
+                self.moved_to(pose_mm, now, events);
+            }
+            return;
         }
-        if !self.realtime && self.turns_angles && matches!(what_for, LookFor::Settled { .. }) {
+        if !self.realtime && self.turns_angles() && matches!(what_for, LookFor::Settled { .. }) {
             return self.own("P2220", Asked::Believed, now);
         }
         self.begin(Chore::None, now);

@@ -39,7 +39,8 @@ impl Wire for UarmWire {
             realtime_certain: false,
             deaf_statuses: 0,
             half_line: false,
-            turns_angles: true,
+            doubted: false,
+            unturned: 0,
             heard: 0,
             last_pose_mm: None,
             last_status_mm: None,
@@ -141,8 +142,8 @@ impl Wire for UarmWire {
                     return events.push(Event::Silent);
                 }
                 let deaf = self.deaf_statuses >= DEAF_STATUSES && !self.realtime_certain;
-                if deaf && !self.dirty && self.flight.is_none() {
-                    self.realtime = false;
+                if deaf && self.flight.is_none() {
+                    self.doubt(now);
                 }
             }
             if now >= self.next_ask && self.ask_sent.is_none() {

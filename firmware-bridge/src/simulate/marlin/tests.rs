@@ -94,3 +94,19 @@ fn m410_is_read_before_the_queue_and_m112_ends_everything() {
     desk.marlin.reset(desk.now_ns);
     assert!(desk.wait(1500).starts_with("start\r\n"));
 }
+
+#[test]
+fn a_uarm_with_firmware_3_answers_by_tags_and_is_stopped_by_a_bare_m410() {
+    let mut desk = Desk::new(MarlinFirmware::uarm_3([0.0, -200.0, 150.0], Faults::new(2, &[])));
+    assert_eq!(desk.say("#1 P2203\n", 5), "$1 ok V3.2.0\r\n");
+    assert_eq!(desk.say("?#2 P2203\n", 5), "echo:Unknown command: \"?#2 P2203\"\r\n");
+    assert_eq!(desk.say("#3 G0 X50 Y-200 Z150 F600\n#4 M2200\n", 300), "$3 ok\r\n$4 ok V1\r\n");
+    assert_eq!(desk.say("#5 P2220\n", 5), "$5 ok X50.00 Y-200.00 Z150.00\r\n");
+    assert_eq!(desk.say("#6 M2221 B1.5 L2 R-3\n", 5), "$6 ok X1.50 Y2.00 Z-3.00\r\n");
+    // What is called its stop only waits.
+    assert_eq!(desk.say("#7 G2203\n", 1000), "");
+    assert_eq!(desk.say("M410\n", 20), "$7 ok\r\nok\r\n");
+    assert_eq!(desk.say("#8 M2200\n", 5), "$8 ok V0\r\n");
+    let said = desk.say("#9 P2200\n", 5);
+    assert!(said.starts_with("$9 ok B1"), "{said}");
+}

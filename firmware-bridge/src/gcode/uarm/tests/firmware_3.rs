@@ -76,7 +76,7 @@ impl Desk {
         let mut desk = Self::new();
         desk.state = None;
         desk.uarm.on_bytes(b"start\r\necho:Marlin 1.1.0-RC6\r\n", desk.now_ns);
-        desk.with(arm, 200);
+        desk.with(arm, 500);
         assert_eq!(desk.told(), [Report::Connected { session: 7, held_by: HeldBy::Start }]);
         desk
     }
@@ -84,7 +84,7 @@ impl Desk {
     fn ready(arm: &Arm) -> Self {
         let mut desk = Self::meet(arm);
         desk.uarm.command(Command::Release, desk.now_ns).unwrap();
-        desk.with(arm, 200);
+        desk.with(arm, 500);
         assert_eq!(desk.told(), [Report::Ready { clear_of_view: false }]);
         desk
     }
