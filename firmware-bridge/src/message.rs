@@ -185,7 +185,8 @@ pub enum Report {
     },
     /// At rest and released, nothing unfinished.
     Ready {
-        /// The arm stands out of the cameras' view. False: the cell waits its dwell before it trusts a picture.
+        /// The arm stands out of the cameras' view. False: the cell waits for [`Report::ClearOfView`] from an arm that
+        /// says such things, else its dwell, before it trusts a picture. Said again when a ready arm comes into the view.
         clear_of_view: bool,
     },
     /// The arm has left the cameras' view (may come before `Done`).

@@ -223,6 +223,8 @@ pub enum Alarm {
         /// How it was noticed.
         cause: Disconnect,
     },
+    /// The arm has never answered.
+    ArmSilent,
     /// The arm is on hold and waits for the operator's release.
     OnHold {
         /// Why.
@@ -276,6 +278,11 @@ impl std::fmt::Display for Alarm {
                 "cameras out of step: {skew_us} µs apart; set both to the same rate, or widen pair_window_ms"
             ),
             Alarm::ArmLost { cause } => write!(f, "arm lost ({cause:?}); the cell goes on looking for it"),
+            Alarm::ArmSilent => write!(
+                f,
+                "the arm does not answer; is it switched on (or, with shared memory, `firmware-bridge run` started)? \
+                 Else check arm.port, arm.baud and arm.dialect"
+            ),
             Alarm::OnHold { by } => {
                 write!(f, "arm on hold ({by:?}); release it with SIGUSR1 when it is safe to move")
             }

@@ -8,6 +8,10 @@ use super::event::Operator;
 use super::{Core, Phase, State};
 use crate::time::Timestamp;
 
+/// An arm that has not answered for so long since the start is said to be silent, ns: boards restart when their port is
+/// opened, and a bridge may be started after the cell.
+const SILENT_NS: i64 = 8_000_000_000;
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Link {
     Absent,
@@ -41,6 +45,8 @@ pub(super) struct ArmSide {
     unfinished: Option<Unfinished>,
     ready: bool,
     clear_since: Option<Timestamp>,
+    /// It has said in this session that it is clear of the view: it will say so again, a dwell proves nothing.
+    says_clear: bool,
     dwell_until: Option<Timestamp>,
     ended_at: Timestamp,
     /// A hold was commanded and not confirmed yet.
@@ -48,10 +54,12 @@ pub(super) struct ArmSide {
     /// The operator holds: nothing but the operator may release.
     held_by_operator: bool,
     release_wanted: bool,
+    /// When it is said that the arm does not answer; `None`: it has, or it was said.
+    silent_at: Option<Timestamp>,
 }
 
 impl ArmSide {
-    pub(super) fn new(first_id: u64) -> Self {
+    pub(super) fn new(first_id: u64, now: Timestamp) -> Self {
         Self {
             link: Link::Absent,
             ever_connected: false,
@@ -61,11 +69,13 @@ impl ArmSide {
             unfinished: None,
             ready: false,
             clear_since: None,
+            says_clear: false,
             dwell_until: None,
             ended_at: Timestamp(i64::MIN),
             hold_unconfirmed: false,
             held_by_operator: false,
             release_wanted: false,
+            silent_at: Some(Timestamp(now.0.saturating_add(SILENT_NS))),
         }
     }
 
@@ -151,7 +161,8 @@ impl ArmSide {
             Link::Releasing(until) => Some(until),
             _ => None,
         };
-        [releasing, self.dwell_until, self.unfinished.map(|target| target.until)].into_iter().flatten().min()
+        let target = self.unfinished.map(|target| target.until);
+        [releasing, self.dwell_until, target, self.silent_at].into_iter().flatten().min()
     }
 
     /// Moves the unfinished target on; whether the report is about it.
@@ -181,8 +192,10 @@ impl Core {
             }
             Report::Ready { clear_of_view } => self.arm_ready(clear_of_view, now, actions),
             Report::ClearOfView => {
+                self.arm.says_clear = true;
                 if matches!(self.arm.link, Link::Released | Link::Releasing(_)) {
                     self.arm.clear_since = Some(now);
+                    self.arm.dwell_until = None;
                 }
             }
             Report::Sent { id, at_ns } => self.sent(id, at_ns, actions),
@@ -229,8 +242,10 @@ impl Core {
             self.end_target(id, TargetEnd::Lost, now, actions);
         }
         self.arm.ever_connected = true;
+        self.arm.silent_at = None;
         self.arm.session = session;
         self.arm.sequence = 0;
+        self.arm.says_clear = false;
         actions.say(Note::Connected { session });
         self.place.ask(now, actions);
         self.held(held_by, now, actions);
@@ -293,7 +308,11 @@ impl Core {
         self.arm.link = Link::Released;
         let dwell_ms = self.settings.arm.clear_dwell_ms;
         if clear_of_view {
+            self.arm.says_clear = true;
             self.arm.clear_since = self.arm.clear_since.or(Some(now));
+            self.arm.dwell_until = None;
+        } else if self.arm.says_clear {
+            self.arm.clear_since = None;
             self.arm.dwell_until = None;
         } else if !was_ready {
             self.arm.clear_since = None;
@@ -387,6 +406,12 @@ impl Core {
         if matches!(self.arm.link, Link::Releasing(until) if now >= until) {
             actions.push(Action::Arm(Command::Hold));
             self.arm.await_hold();
+        }
+        if self.arm.silent_at.is_some_and(|at| now >= at) {
+            self.arm.silent_at = None;
+            if self.params.has_arm {
+                actions.say(Note::Alarm(Alarm::ArmSilent));
+            }
         }
         if matches!(self.phase, Phase::Stopping(_) | Phase::Ended) {
             return;

@@ -48,6 +48,7 @@ mod choose;
 mod count;
 mod event;
 mod place;
+mod state;
 
 use firmware_bridge::config::{Resume, Settings};
 use firmware_bridge::gate::Gate;
@@ -56,6 +57,7 @@ use firmware_bridge::message::{Command, Pose};
 pub use action::{Action, Actions, Alarm, Ending, Job, NoPick, Note, PairReport, TargetEnd, TargetSent};
 pub use count::{Cause, Counts};
 pub use event::{CANDIDATES_MAX, Candidate, Event, Found, Grasp, Nothing, Operator, PlaceRecord};
+pub use state::State;
 
 use super::pairing::{FrameSeen, Handle, Pair, Pairing};
 use crate::camera::{Condition, Side};
@@ -122,48 +124,6 @@ pub struct PlacePattern {
     pub rows: u32,
 }
 
-/// What the arm is doing, as the drawing names it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum State {
-    /// Not connected.
-    Absent,
-    /// On hold.
-    Held,
-    /// The controller refuses to move.
-    Alarmed,
-    /// Released, not ready yet.
-    Releasing,
-    /// Ready; a picture without the arm is waited for.
-    Looking,
-    /// A target is on its way to the wire.
-    Ordered,
-    /// Its last byte is on the wire.
-    Sent,
-    /// The arm has taken it.
-    Accepted,
-    /// The arm moves.
-    Moving,
-    /// The cell is ending.
-    Stopping,
-}
-
-impl std::fmt::Display for State {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            State::Absent => "arm not connected",
-            State::Held => "on hold",
-            State::Alarmed => "controller in alarm",
-            State::Releasing => "released, arm not ready yet",
-            State::Looking => "looking",
-            State::Ordered => "target ordered",
-            State::Sent => "target sent",
-            State::Accepted => "target accepted",
-            State::Moving => "arm moving",
-            State::Stopping => "stopping",
-        })
-    }
-}
-
 #[derive(Clone, Copy, Debug, Default)]
 struct CameraState {
     /// When its last frame came.
@@ -217,7 +177,7 @@ impl Core {
             alone_in_a_row: 0,
             searching: None,
             waiting: None,
-            arm: ArmSide::new(params.first_id.max(params.record.next_id)),
+            arm: ArmSide::new(params.first_id.max(params.record.next_id), now),
             place: Place::new(params.place, params.record),
             tried: Tried::new(),
             counts: Counts::default(),

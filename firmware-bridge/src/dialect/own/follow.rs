@@ -158,6 +158,13 @@ impl Own {
             self.not_before_ns = now_ns;
             self.reports.push(Report::ClearOfView);
         }
+        if !status.clear_of_view && self.clear_of_view && status.arm == ArmState::Ready {
+            // Moved by hand, or by something else than a pick: pictures count again when it says that it is clear.
+            self.not_before_ns = i64::MAX;
+            if self.announced == Announced::Ready && self.current.is_none() {
+                self.reports.push(Report::Ready { clear_of_view: false });
+            }
+        }
         self.clear_of_view = status.clear_of_view;
         if !status.position_known && self.position_known {
             self.reports.push(Report::PositionUnknown);

@@ -40,8 +40,14 @@ fn an_arm_that_echoes_or_prints_text_is_another_dialect() {
     assert!(!said.iter().any(|report| matches!(report, Report::Connected { .. })), "{said:?}");
 }
 
-#[test]
-fn a_pick_that_waited_for_the_line_is_checked_again_when_its_bytes_are_made() {
+fn hear(own: &mut Own, message: FromArm, now_ns: i64) {
+    let mut out = [0; crate::dialect::TRANSMIT_LEN_MIN];
+    let len = codec::encode(&message, &mut out).unwrap();
+    own.on_bytes(&out[..len], now_ns);
+}
+
+/// An arm that is released, ready and clear of the view at 820 ms, and what it said last.
+fn ready() -> (Own, codec::Status) {
     let mut own = Own::new(&settings(), 1);
     own.on_link(true, 0);
     let mut out = [0; crate::dialect::TRANSMIT_LEN_MIN];
@@ -55,17 +61,33 @@ fn a_pick_that_waited_for_the_line_is_checked_again_when_its_bytes_are_made() {
         position_known: true,
         last: None,
     };
-    let mut answer = |own: &mut Own, message: FromArm, now_ns| {
-        let len = codec::encode(&message, &mut out).unwrap();
-        own.on_bytes(&out[..len], now_ns);
-    };
-    answer(&mut own, FromArm::Welcome(status), 800 * MS);
+    hear(&mut own, FromArm::Welcome(status), 800 * MS);
     own.command(Command::Release, 810 * MS).unwrap();
-    let mut bytes = [0; crate::dialect::TRANSMIT_LEN_MIN];
-    own.transmit(810 * MS, &mut bytes);
+    own.transmit(810 * MS, &mut out);
     (status.acked, status.arm) = (1, codec::ArmState::Ready);
-    answer(&mut own, FromArm::Status(status), 820 * MS);
+    hear(&mut own, FromArm::Status(status), 820 * MS);
     assert!(reports(&mut own, 820 * MS).contains(&Report::Ready { clear_of_view: true }));
+    (own, status)
+}
+
+#[test]
+fn a_ready_arm_that_comes_into_the_view_says_so_and_is_not_moved_by_what_was_seen_then() {
+    let (mut own, mut status) = ready();
+    status.clear_of_view = false;
+    hear(&mut own, FromArm::Status(status), 830 * MS);
+    assert_eq!(reports(&mut own, 830 * MS), [Report::Ready { clear_of_view: false }]);
+    let pick = Command::Pick(crate::gate::tests::pick());
+    assert_eq!(own.command(pick, 1010 * MS), Err(Refusal::SeenTooEarly));
+    status.clear_of_view = true;
+    hear(&mut own, FromArm::Status(status), 990 * MS);
+    assert_eq!(reports(&mut own, 990 * MS), [Report::ClearOfView]);
+    assert_eq!(own.command(pick, 1010 * MS), Ok(()));
+}
+
+#[test]
+fn a_pick_that_waited_for_the_line_is_checked_again_when_its_bytes_are_made() {
+    let (mut own, _) = ready();
+    let mut bytes = [0; crate::dialect::TRANSMIT_LEN_MIN];
     // Seen at 1000 ms with a deadline of 66 ms; the line takes about 20 ms for it.
     own.command(Command::Pick(crate::gate::tests::pick()), 1010 * MS).unwrap();
     let mut long_after = own.transmit(1055 * MS, &mut bytes);

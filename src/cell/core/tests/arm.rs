@@ -90,8 +90,38 @@ fn a_stamp_at_the_end_of_the_frame_is_taken_for_a_period_earlier() {
 }
 
 #[test]
-fn an_arm_that_never_says_it_is_clear_gets_its_dwell() {
+fn an_arm_that_comes_into_the_view_while_it_is_ready_is_waited_for() {
     let mut bench = Bench::looking(params(), &settings(""));
+    bench.arm(Report::Ready { clear_of_view: false });
+    bench.pass(1000 * MS);
+    assert_eq!(bench.state(), State::Looking);
+    assert_eq!(bench.recognise(found(&[PART])), Err(NoPick::NotClear));
+    bench.arm(Report::ClearOfView);
+    bench.pass(MS);
+    assert!(bench.recognise(found(&[PART])).is_ok());
+}
+
+#[test]
+fn an_arm_that_never_answers_is_said_once() {
+    let mut bench = Bench::new(params(), &settings(""));
+    bench.pass(7900 * MS);
+    assert!(!bench.alarms().contains(&Alarm::ArmSilent));
+    bench.pass(100 * MS);
+    assert!(bench.alarms().contains(&Alarm::ArmSilent));
+    bench.pass(60_000 * MS);
+    assert!(!bench.alarms().contains(&Alarm::ArmSilent));
+    let mut bench = Bench::looking(params(), &settings(""));
+    bench.pass(60_000 * MS);
+    assert!(!bench.alarms().contains(&Alarm::ArmSilent));
+}
+
+#[test]
+fn an_arm_that_never_says_it_is_clear_gets_its_dwell() {
+    let mut bench = Bench::new(params(), &settings(""));
+    bench.arm(Report::Connected { session: 3, held_by: HeldBy::Start });
+    bench.event(Event::Operator(Operator::Release));
+    bench.arm(Report::Ready { clear_of_view: false });
+    bench.pass(51 * MS);
     let id = order(&mut bench).id;
     bench.arm(Report::Done { id });
     bench.arm(Report::Ready { clear_of_view: false });
