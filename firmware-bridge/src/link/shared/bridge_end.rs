@@ -2,7 +2,7 @@
 
 use super::record::{ArmRecord, COMMANDS, CellRecord, REPORTS};
 use crate::config::Settings;
-use crate::message::{Command, Outcome, Refusal, Report};
+use crate::message::{Command, HeldBy, Outcome, Refusal, Report};
 
 const MS: i64 = 1_000_000;
 
@@ -16,6 +16,10 @@ pub struct BridgeEnd {
     publish_due: bool,
     next_beat_ns: i64,
     heard_ns: i64,
+    /// The arm was released, as far as is known.
+    released: bool,
+    /// It holds because its driver was lost, and for no other reason.
+    driver_lost: bool,
 }
 
 impl BridgeEnd {
@@ -37,6 +41,8 @@ impl BridgeEnd {
             publish_due: true,
             next_beat_ns: i64::MIN,
             heard_ns: 0,
+            released: false,
+            driver_lost: false,
         }
     }
 
@@ -76,6 +82,12 @@ impl BridgeEnd {
 
     /// A report of the arm's.
     pub fn on_report(&mut self, report: Report) {
+        match report {
+            Report::Ready { .. } | Report::Moving { .. } => (self.released, self.driver_lost) = (true, false),
+            Report::Held { .. } | Report::Connected { .. } | Report::Alarm { .. } => self.released = false,
+            _ => {}
+        }
+        let report = self.with_true_cause(report);
         if !self.has_cell() {
             return;
         }
@@ -111,6 +123,18 @@ impl BridgeEnd {
         self.next_beat_ns.min(silent_ns)
     }
 
+    /// The arm itself only knows that it was told to hold. A driver that was killed has not told it so.
+    fn with_true_cause(&self, report: Report) -> Report {
+        let by = HeldBy::HeartbeatLost;
+        match report {
+            Report::Held { by: HeldBy::Command } if self.driver_lost => Report::Held { by },
+            Report::Connected { session, held_by: HeldBy::Command } if self.driver_lost => {
+                Report::Connected { session, held_by: by }
+            }
+            _ => report,
+        }
+    }
+
     fn carry_out(&mut self, record: &CellRecord, carry: &mut impl FnMut(Command) -> Result<(), Refusal>) {
         let new = record.newest.wrapping_sub(self.record.acked).min(COMMANDS as u32);
         let numbers = (0..new).rev().map(|back| record.newest.wrapping_sub(back));
@@ -124,6 +148,11 @@ impl BridgeEnd {
                 Some(hold) if at < hold && !matches!(command, Command::Query { .. }) => continue,
                 _ => carry(command),
             };
+            match command {
+                Command::Hold => (self.released, self.driver_lost) = (false, false),
+                Command::Release if answer.is_ok() => (self.released, self.driver_lost) = (true, false),
+                _ => {}
+            }
             match (command, answer) {
                 (Command::Pick(pick), Err(refusal)) => {
                     self.on_report(Report::Refused { id: pick.id, refusal })
@@ -141,6 +170,7 @@ impl BridgeEnd {
     /// The driver is gone: the arm stops, and only a new conversation moves it again.
     fn drop_cell(&mut self, carry: &mut impl FnMut(Command) -> Result<(), Refusal>) {
         let _ = carry(Command::Hold);
+        (self.driver_lost, self.released) = (self.driver_lost || self.released, false);
         self.record.cell = 0;
         self.record.bridge = super::next_life(self.record.bridge);
         self.publish_due = true;
@@ -175,6 +205,32 @@ mod tests {
         assert!(!end.has_cell());
         assert_eq!(carried(&mut end, &record(5, 0, [None; COMMANDS])), [Command::Hello]);
         assert!(end.has_cell());
+    }
+
+    #[test]
+    fn a_hold_for_a_lost_driver_is_told_from_one_that_the_driver_wanted() {
+        for (commands, cause) in [
+            (vec![Command::Release], HeldBy::HeartbeatLost),
+            (vec![Command::Release, Command::Hold], HeldBy::Command),
+            (vec![], HeldBy::Command),
+        ] {
+            let mut end = BridgeEnd::new(&settings(), 5);
+            carried(&mut end, &record(5, 0, [None; COMMANDS]));
+            end.on_report(Report::Connected { session: 1, held_by: HeldBy::Start });
+            for (at, command) in commands.iter().enumerate() {
+                let mut all = [None; COMMANDS];
+                all[at + 1] = Some(*command);
+                assert_eq!(carried(&mut end, &record(5, at as u32 + 1, all)), [*command]);
+            }
+            end.run_timers(i64::MAX, |_| Ok(()));
+            assert!(!end.has_cell());
+            end.on_report(Report::Held { by: HeldBy::Command });
+            let life = end.record(0).unwrap().bridge;
+            assert_eq!(carried(&mut end, &record(life, 0, [None; COMMANDS])), [Command::Hello]);
+            end.on_report(Report::Connected { session: 2, held_by: HeldBy::Command });
+            let said = end.record(0).unwrap().reports[1];
+            assert_eq!(said, Some(Report::Connected { session: 2, held_by: cause }), "{commands:?}");
+        }
     }
 
     #[test]
