@@ -39,10 +39,15 @@
 //! assert_eq!(settings.arm.resends, 3);
 //! ```
 
+mod error;
+
 use crate::message::ArmAxes;
+use crate::outside::read_text;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+
+pub use error::ConfigError;
 
 /// The tables of cell.toml that belong to the arm's side.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -223,8 +228,10 @@ pub enum Resume {
 #[serde(deny_unknown_fields)]
 pub struct Workspace {
     /// Lower corner of the box, mm.
+    #[serde(deserialize_with = "exactly")]
     pub min_mm: [f64; 3],
     /// Upper corner of the box, mm; above the lower one on every axis.
+    #[serde(deserialize_with = "exactly")]
     pub max_mm: [f64; 3],
     /// Largest tilt of the approach from straight down, degrees, 0 to 90.
     #[serde(default = "default_tilt_max_deg")]
@@ -284,41 +291,19 @@ impl Default for Gripper {
     }
 }
 
-/// What is wrong with a cell.toml.
-#[derive(Debug, thiserror::Error)]
-pub enum ConfigError {
-    /// It cannot be read.
-    #[error("cannot read {path}: {source}; name a cell.toml with --cell")]
-    Read {
-        /// Which file.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
-    /// It is no TOML, or a key is unknown or of the wrong type.
-    #[error("{0}")]
-    Toml(#[from] toml::de::Error),
-    /// A move template is not allowed.
-    #[error(transparent)]
-    Template(#[from] crate::gcode::template::TemplateError),
-    /// A value is not allowed.
-    #[error("{key} = {value} is not allowed: it must be {allowed}")]
-    Value {
-        /// Table and key.
-        key: &'static str,
-        /// What was written.
-        value: String,
-        /// What may be written.
-        allowed: String,
-    },
-    /// A key is missing that other keys make necessary.
-    #[error("{key} is missing: {because}")]
-    Missing {
-        /// Table and key.
-        key: &'static str,
-        /// What needs it, and an example.
-        because: &'static str,
-    },
+/// So many values and not one more: serde by itself would leave out what follows, and a slip with it.
+///
+/// # Errors
+/// Another number of values, or values of another type.
+pub fn exactly<'de, D, T, const N: usize>(deserializer: D) -> Result<[T; N], D::Error>
+where
+    D: serde::Deserializer<'de>,
+    T: Deserialize<'de>,
+{
+    let values = Vec::deserialize(deserializer)?;
+    let len = values.len();
+    let expected = format!("an array of length {N}");
+    values.try_into().map_err(|_| serde::de::Error::invalid_length(len, &expected.as_str()))
 }
 
 impl Settings {
@@ -331,9 +316,8 @@ impl Settings {
 
     /// Reads and checks a cell.toml; a relative `arm.port` starts at the file.
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| ConfigError::Read { path: path.into(), source })?;
-        let mut settings = Self::parse(&text)?;
+        let text = read_text(path).map_err(|source| ConfigError::Read { path: path.into(), source })?;
+        let mut settings = Self::parse(&text).map_err(|error| error.of(path))?;
         if let (Some(port), Some(folder)) = (&settings.arm.port, path.parent()) {
             settings.arm.port = Some(folder.join(port));
         }
@@ -453,6 +437,16 @@ mod tests {
     }
 
     #[test]
+    fn an_error_of_a_file_names_the_file() {
+        let path = std::env::temp_dir().join(format!("firmware-bridge-config-{}.toml", std::process::id()));
+        std::fs::write(&path, format!("{BOX}[arm]\nresends = 99\n[realtime]\narm_priority = 99\n")).unwrap();
+        let named = |message: String| message.starts_with(&format!("{}: ", path.display()));
+        assert!(named(Settings::read(&path).unwrap_err().to_string()));
+        assert!(named(crate::realtime::ArmThread::read(&path).unwrap_err().to_string()));
+        std::fs::remove_file(&path).unwrap();
+    }
+
+    #[test]
     fn an_error_names_key_value_and_what_is_allowed() {
         assert!(complaint(&format!("{BOX}[arm]\nspeed = 3\n")).contains("unknown field `speed`"));
         assert!(
@@ -474,5 +468,7 @@ mod tests {
         assert!(complaint(&format!("{BOX}[arm]\nlink = \"serial\"\n")).starts_with("arm.port is missing"));
         assert!(complaint(&format!("{BOX}[arm]\nservice = \"a/b\"\n")).contains("A-Z a-z 0-9"));
         assert!(complaint("[arm]\n").contains("workspace"));
+        let four = complaint("[workspace]\nmin_mm = [0, 0, 0, 0]\nmax_mm = [1, 1, 1]\n");
+        assert!(four.contains("invalid length 4, expected an array of length 3"), "{four}");
     }
 }

@@ -9,6 +9,7 @@ use std::path::Path;
 use serde::Deserialize;
 
 use crate::config::ConfigError;
+use crate::outside::read_text;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use rustix::thread::{CpuSet, sched_setaffinity};
 
@@ -98,9 +99,8 @@ impl ArmThread {
     /// # Errors
     /// A file that cannot be read, a value of the wrong type, a priority out of range.
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| ConfigError::Read { path: path.into(), source })?;
-        Self::parse(&text)
+        let text = read_text(path).map_err(|source| ConfigError::Read { path: path.into(), source })?;
+        Self::parse(&text).map_err(|error| error.of(path))
     }
 
     fn parse(text: &str) -> Result<Self, ConfigError> {

@@ -4,6 +4,7 @@ use std::fmt::Display;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
+use firmware_bridge::outside::read_text;
 use serde::de::DeserializeOwned;
 use toml::de::{DeTable, DeValue};
 
@@ -24,8 +25,8 @@ impl Source {
     /// # Errors
     /// [`ConfigError::Unreadable`].
     pub fn read(file: &Path) -> Result<Self, ConfigError> {
-        let text = std::fs::read_to_string(file)
-            .map_err(|reason| ConfigError::Unreadable { file: file.to_path_buf(), reason })?;
+        let text =
+            read_text(file).map_err(|reason| ConfigError::Unreadable { file: file.to_path_buf(), reason })?;
         Ok(Source { file: file.to_path_buf(), text })
     }
 

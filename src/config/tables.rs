@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use firmware_bridge::config::{Arm, Gripper, Settings, Workspace};
+use firmware_bridge::config::{Arm, Gripper, Settings, Workspace, exactly};
 use firmware_bridge::realtime::Scheduling;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
@@ -50,7 +50,9 @@ pub(super) struct WrittenRig {
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct WrittenPose {
+    #[serde(deserialize_with = "exactly")]
     translation_mm: [f64; 3],
+    #[serde(deserialize_with = "exactly")]
     quaternion_xyzw: [f64; 4],
 }
 
@@ -131,10 +133,11 @@ pub struct PlaceGrid {
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct WrittenPlace {
+    #[serde(deserialize_with = "exactly")]
     first_mm: [f64; 3],
-    #[serde(default)]
+    #[serde(default, deserialize_with = "exactly")]
     column_step_mm: [f64; 3],
-    #[serde(default)]
+    #[serde(default, deserialize_with = "exactly")]
     row_step_mm: [f64; 3],
     #[serde(default = "one")]
     columns: u32,
@@ -163,6 +166,9 @@ impl WrittenPlace {
             if count > 1 && step == [0.0; 3] {
                 return Err(source.refuse(key, "[0, 0, 0]", "a step that is not zero, in mm"));
             }
+        }
+        if self.state.trim().is_empty() {
+            return Err(source.refuse("place.state", "\"\"", "a file for the pattern's counters"));
         }
         if !(self.yaw_deg.is_finite() && self.yaw_deg.abs() <= 360.0) {
             return Err(source.refuse("place.yaw_deg", self.yaw_deg, "degrees from -360 to 360"));

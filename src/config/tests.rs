@@ -180,6 +180,11 @@ fn values_out_of_range_name_key_value_and_what_is_allowed() {
              possible; allowed: a unit quaternion [x, y, z, w], length 1 to within 0.001",
         ),
         (
+            "[1.0, 0.0, 0.0, 0.0]",
+            "[1.0, 0.0, 0.0, 0.0, 0.0]",
+            "cell.toml, line 23: rig.base_from_left.quaternion_xyzw: invalid length 5, expected an array of length 4",
+        ),
+        (
             "deadline_ms = 60",
             "deadline_ms = 0",
             "cell.toml, line 32: deadline.deadline_ms = 0 is not possible; allowed: milliseconds from 1 to 60000",

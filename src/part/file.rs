@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use firmware_bridge::config::exactly;
+use firmware_bridge::outside::read_text;
 use nalgebra::{Point3, Unit, Vector3};
 use serde::Deserialize;
 
@@ -34,6 +36,7 @@ struct FileText {
 #[serde(deny_unknown_fields)]
 struct NodeText {
     name: String,
+    #[serde(deserialize_with = "exactly")]
     position_mm: [f64; 3],
 }
 
@@ -43,14 +46,20 @@ struct EdgeText {
     from: String,
     to: String,
     #[serde(default)]
-    via: Vec<[f64; 3]>,
+    via: Vec<Triple>,
 }
+
+#[derive(Clone, Copy, Deserialize)]
+struct Triple(#[serde(deserialize_with = "exactly")] [f64; 3]);
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct GraspText {
+    #[serde(deserialize_with = "exactly")]
     position_mm: [f64; 3],
+    #[serde(deserialize_with = "exactly")]
     approach: [f64; 3],
+    #[serde(deserialize_with = "exactly")]
     closing: [f64; 3],
     width_mm: f64,
 }
@@ -64,7 +73,7 @@ impl Part {
     /// [`PartError`]: names file, key, value and remedy.
     pub fn read(path: impl AsRef<Path>) -> Result<Part, PartError> {
         let path = path.as_ref();
-        let read = std::fs::read_to_string(path);
+        let read = read_text(path);
         let text = read.map_err(|source| PartError::Read { path: path.to_owned(), source })?;
         Self::parse(&text, path)
     }
@@ -185,7 +194,7 @@ impl Check<'_> {
                     &format!("at most {VIAS_MAX}"),
                 ));
             }
-            let via = text.via.iter().map(|&p| self.point(&key, p)).collect::<Result<Vec<_>, _>>()?;
+            let via = text.via.iter().map(|&Triple(p)| self.point(&key, p)).collect::<Result<Vec<_>, _>>()?;
             let edge = PartEdge { from, to, via };
             if edges.iter().any(|e| *e == edge || *e == reversed(&edge)) {
                 return Err(self.shape(format!(

@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+use firmware_bridge::outside::read_bytes;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::yaml::{self, Entry, Matrix, Value};
@@ -143,7 +144,7 @@ struct File {
 impl File {
     fn read(path: &Path) -> Result<Self, RigError> {
         let failed = |source| RigError::Read { path: path.to_owned(), source };
-        let bytes = std::fs::read(path).map_err(failed)?;
+        let bytes = read_bytes(path).map_err(failed)?;
         let text = String::from_utf8_lossy(&bytes);
         let entries = yaml::parse(&text).map_err(|e| syntax(path, &e))?;
         if entries.is_empty() {

@@ -74,7 +74,7 @@ struct Settings {
 pub(super) fn open(folder: &Path) -> Result<Session, FolderError> {
     std::fs::read_dir(folder).map_err(|reason| FolderError::NoFolder { path: folder.to_owned(), reason })?;
     let path = folder.join("session.toml");
-    let text = std::fs::read_to_string(&path)
+    let text = firmware_bridge::outside::read_text(&path)
         .map_err(|reason| FolderError::NoSettings { path: path.clone(), reason })?;
     let Settings { rate_hz } =
         toml::from_str(&text).map_err(|reason| FolderError::BadSettings { path: path.clone(), reason })?;
