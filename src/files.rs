@@ -23,9 +23,29 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
     written
 }
 
+/// Whether a file can be written into `folder`; nothing is left of it.
+///
+/// # Errors
+/// What the operating system said.
+pub fn can_write(folder: &Path) -> io::Result<()> {
+    let path = folder.join(format!(".pickcell-{}.check", std::process::id()));
+    let mut file = File::options().write(true).create_new(true).open(&path)?;
+    let written = file.write_all(&[0; 4096]).and_then(|()| file.sync_all());
+    fs::remove_file(&path).and(written)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_folder_that_can_be_written_is_left_as_it_was() {
+        let folder = tempfile::tempdir().unwrap();
+        can_write(folder.path()).unwrap();
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+        assert!(can_write(&folder.path().join("absent")).is_err());
+        assert!(can_write(Path::new("/proc")).is_err());
+    }
 
     #[test]
     fn a_file_is_replaced_whole_and_a_failure_leaves_nothing() {

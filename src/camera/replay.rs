@@ -247,7 +247,7 @@ fn leave_out_damaged([left, right]: &mut [ReplayCamera; 2]) {
 }
 
 /// Whether an error is of one picture of a recording, as its camera sent it, and not of the whole recording.
-fn is_only_of(picture: &RecordedPicture, error: &PictureError) -> bool {
+pub(crate) fn is_only_of(picture: &RecordedPicture, error: &PictureError) -> bool {
     matches!(picture, RecordedPicture::Message { .. }) && !matches!(error, PictureError::Recording(_))
 }
 

@@ -37,13 +37,14 @@ pub(super) struct Place {
     record: PlaceRecord,
     reservation: Reservation,
     full_was_said: bool,
+    refusal_was_said: bool,
 }
 
 impl Place {
     pub(super) fn new(pattern: Option<PlacePattern>, record: PlaceRecord) -> Self {
         let in_question = pattern.is_some() && record.unfinished_id != 0;
         let reservation = if in_question { Reservation::InQuestion } else { Reservation::None };
-        Self { pattern, record, reservation, full_was_said: false }
+        Self { pattern, record, reservation, full_was_said: false, refusal_was_said: false }
     }
 
     fn slots(&self) -> u32 {
@@ -101,13 +102,16 @@ impl Place {
     pub(super) fn persisted(&mut self, record: PlaceRecord) {
         if record == self.record && self.reservation == Reservation::Writing {
             self.reservation = Reservation::Made;
+            self.refusal_was_said = false;
         }
     }
 
     pub(super) fn not_persisted(&mut self, now: Timestamp, actions: &mut Actions) {
         if self.reservation == Reservation::Writing {
             self.reservation = Reservation::Refused(Timestamp(now.0.saturating_add(PATIENCE_NS)));
-            actions.say(Note::Alarm(Alarm::PlaceNotSaved));
+            if !std::mem::replace(&mut self.refusal_was_said, true) {
+                actions.say(Note::Alarm(Alarm::PlaceNotSaved));
+            }
         }
     }
 

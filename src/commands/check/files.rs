@@ -6,6 +6,7 @@ use std::time::{Duration, SystemTime};
 use nalgebra::Point3;
 
 use super::Findings;
+use crate::camera::replay::is_only_of;
 use crate::config::{Backend, Cell};
 use crate::part::Part;
 use crate::rig::Rig;
@@ -14,6 +15,9 @@ use crate::vision::binarize::Binarize;
 
 /// After so long a calibration should be looked at again: screws settle, mounts creep.
 const CALIBRATION_AGE_MAX: Duration = Duration::from_secs(90 * 24 * 3600);
+
+/// So many pictures of a session are looked at.
+const PICTURES_MAX: usize = 1000;
 
 /// Baselines outside of this are most likely metres or a slip, in mm.
 const BASELINE_MM: std::ops::RangeInclusive<f64> = 5.0..=2000.0;
@@ -87,14 +91,35 @@ fn session(cell: &Cell, rig: Option<&Rig>, findings: &mut Findings) {
     }
     let about =
         format!("{}: {} pairs at {:.4} a second", path.display(), session.pairs.len(), session.rate_hz);
-    let first = session.pairs.iter().flat_map(|pair| pair.pictures.iter().flatten()).next();
-    match first.map(|picture| picture.read()) {
-        Some(Err(error)) => findings.wrong("session", error.to_string()),
-        Some(Ok(frame)) => match rig.map(|rig| rig.check_size(frame.width, frame.height)) {
-            Some(Err(error)) => findings.wrong("session", format!("{about}; {error}")),
-            _ => findings.ok("session", format!("{about}, {}x{}", frame.width, frame.height)),
-        },
-        None => findings.wrong("session", format!("{about}, no picture in them")),
+    let pictures = session.pairs.iter().flat_map(|pair| pair.pictures.iter().flatten());
+    let (mut size, mut damaged, mut other_size) = (None, 0, None);
+    for picture in pictures.take(PICTURES_MAX) {
+        match picture.read() {
+            // Played as what it is: a picture that came damaged from its camera.
+            Err(error) if is_only_of(picture, &error) => damaged += 1,
+            Err(error) => return findings.wrong("session", error.to_string()),
+            Ok(frame) => match rig.map(|rig| rig.check_size(frame.width, frame.height)) {
+                Some(Err(error)) => {
+                    other_size.get_or_insert(format!("{}: {error}", picture.place().display()));
+                }
+                _ => size = Some((frame.width, frame.height)),
+            },
+        }
+    }
+    match (size, &other_size) {
+        (Some((width, height)), _) => findings.ok("session", format!("{about}, {width}x{height}")),
+        (None, Some(error)) => return findings.wrong("session", error.clone()),
+        (None, None) => return findings.wrong("session", format!("{about}, no whole picture in them")),
+    }
+    if let Some(error) = other_size {
+        findings.warning("session", error, "nothing is recognised in such pictures; take them out");
+    }
+    if damaged > 0 {
+        findings.warning(
+            "session",
+            format!("{damaged} damaged pictures"),
+            "they are counted, not recognised",
+        );
     }
 }
 

@@ -11,7 +11,9 @@ use rustix::fs::{Access, Mode, OFlags};
 use rustix::process::{Resource, getrlimit};
 
 use super::Findings;
+use crate::commands::run::place;
 use crate::config::{Cell, Scheduling};
+use crate::files::can_write;
 use crate::time::Timestamp;
 
 /// Memory that a cell locks at most, bytes: pictures, stages and the program itself.
@@ -34,8 +36,10 @@ pub(super) fn check(cell: &Cell, findings: &mut Findings) {
     }
     arm_times(cell, findings);
     if let Some(place) = &cell.place {
-        let folder = place.state.parent().filter(|folder| !folder.as_os_str().is_empty());
-        writable("place.state", folder.unwrap_or(Path::new(".")), findings);
+        place_record(&place.state, findings);
+    }
+    if let Some(recording) = &cell.recording {
+        writable("recording.folder", &recording.folder, findings);
     }
 }
 
@@ -183,6 +187,16 @@ fn shared_memory(settings: &Settings, findings: &mut Findings) {
     );
 }
 
+/// Whether the record of the place pattern can be read, and written anew.
+fn place_record(path: &Path, findings: &mut Findings) {
+    let subject = "place.state";
+    if let Err(error) = place::read(path) {
+        return findings.wrong(subject, error.to_string());
+    }
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    writable(subject, folder.unwrap_or(Path::new(".")), findings);
+}
+
 /// Whether a folder that the cell writes into is there, or can be made.
 fn writable(subject: &str, folder: &Path, findings: &mut Findings) {
     let shown = folder.display();
@@ -201,12 +215,13 @@ fn writable(subject: &str, folder: &Path, findings: &mut Findings) {
         }
         return;
     }
-    match rustix::fs::access(folder, Access::WRITE_OK) {
+    // The only proof is a file: rights say nothing of a disk that is full.
+    match can_write(folder) {
         Ok(()) => findings.ok(subject, format!("{shown} can be written")),
         Err(error) => findings.error(
             subject,
-            format!("{shown} cannot be written: {}", io::Error::from(error)),
-            "give the cell's user write access",
+            format!("{shown} cannot be written: {error}"),
+            "give the cell's user write access, and make room on the disk",
         ),
     }
 }

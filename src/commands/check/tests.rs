@@ -102,3 +102,44 @@ fn a_real_arm_that_resumes_by_itself_is_warned_of() {
     assert!(words.contains("WARNING  arm.resume: \"auto\": the arm begins to move by itself"), "{words}");
     assert!(words.contains("WARNING  arm.ttl_ms: targets live 50 ms, the deadline is 66 ms"), "{words}");
 }
+
+#[test]
+fn a_place_record_that_cannot_be_used_and_a_recording_that_cannot_be_made_are_found() {
+    let state = "state = \"out/place.state\"";
+    let (code, text) = complaint(state, "state = \"/proc/place.state\"");
+    assert_eq!((code, text.starts_with("place.state: /proc cannot be written: ")), (1, true), "{text}");
+    let (code, text) = complaint(state, "state = \"/proc\"");
+    assert_eq!(
+        (code, text.starts_with("place.state: /proc: cannot read or write it: ")),
+        (2, true),
+        "{text}"
+    );
+    let (code, text) = complaint(state, "state = \"cell.toml\"");
+    assert_eq!((code, text.contains("not a place record")), (2, true), "{text}");
+    let (code, text) = complaint(state, "state = \"\"");
+    assert_eq!((code, text.contains("place.state = \"\" is not possible")), (2, true), "{text}");
+    let (code, text) = complaint("[realtime]", "[recording]\nfolder = \"/proc\"\n[realtime]");
+    assert_eq!((code, text.starts_with("recording.folder: /proc cannot be written: ")), (1, true), "{text}");
+}
+
+#[test]
+fn every_picture_of_a_session_is_looked_at() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let there = project().join("replay/conveyor");
+    fs::write(folder.path().join("session.toml"), "rate_hz = 30").expect("a file");
+    for side in ["left", "right"] {
+        fs::create_dir(folder.path().join(side)).expect("a folder");
+        for name in ["0000.jpg", "0001.jpg"] {
+            fs::copy(there.join(side).join(name), folder.path().join(side).join(name)).expect("a copy");
+        }
+    }
+    let session = format!("session = {:?}", folder.path());
+    let last = folder.path().join("right/0001.jpg");
+    let small = image::GrayImage::from_pixel(32, 24, image::Luma([9]));
+    small.save(&last).expect("a picture");
+    let (code, text) = complaint("session = \"replay/conveyor\"", &session);
+    assert_eq!((code, text.contains("right/0001.jpg: ") && text.contains("32x24")), (0, true), "{text}");
+    fs::write(&last, "no picture").expect("a file");
+    let (code, text) = complaint("session = \"replay/conveyor\"", &session);
+    assert_eq!((code, text.contains("right/0001.jpg")), (2, true), "{text}");
+}

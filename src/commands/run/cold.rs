@@ -41,6 +41,8 @@ pub(super) struct Cold {
     parts: Vec<Part>,
     names: Vec<String>,
     state_file: Option<PathBuf>,
+    /// Why it could not be written, as it was said.
+    unwritten: Option<String>,
     deadline_ns: i64,
     endurance: Option<Endurance>,
     /// Parts found, by model.
@@ -88,6 +90,7 @@ impl Cold {
             parts,
             names,
             state_file: cell.place.as_ref().map(|place| place.state.clone()),
+            unwritten: None,
             deadline_ns: i64::try_from(cell.deadline(period).as_nanos()).unwrap_or(i64::MAX),
             endurance: args.soak.map(Endurance::new),
             slow: 0,
@@ -118,11 +121,20 @@ impl Cold {
     fn write_records(&mut self) {
         while let Ok(record) = self.seat.records.pop() {
             let written = self.state_file.as_ref().map_or(Ok(()), |path| place::write(path, &record));
-            if let Err(reason) = &written {
-                self.log(|| tracing::error!(%reason, "cannot write the place record"));
-            }
+            self.tell_unwritten(written.as_ref().err().map(ToString::to_string));
             self.seat.outbox.send(Letter::Persisted(record, written.is_ok()));
         }
+    }
+
+    /// Says why the record cannot be written: once, until something else is in the way.
+    fn tell_unwritten(&mut self, reason: Option<String>) {
+        if let (Some(reason), Some(path)) = (&reason, &self.state_file)
+            && self.unwritten.as_ref() != Some(reason)
+        {
+            let path = path.display();
+            self.log(|| tracing::error!("{path}: cannot write the place record: {reason}; make room, or give the cell's user the right"));
+        }
+        self.unwritten = reason;
     }
 
     fn record_log(&mut self) {

@@ -55,7 +55,7 @@ pub enum RunError {
         reason: String,
     },
     /// A file or folder that cannot be written.
-    #[error("{}: cannot read or write it: {reason}; check place.state, --out and the rights", path.display())]
+    #[error("{}: cannot read or write it: {reason}; {}", path.display(), remedy(reason))]
     Unwritable {
         /// The file.
         path: PathBuf,
@@ -78,6 +78,8 @@ impl RunError {
     pub fn exit_code(&self) -> u8 {
         match self {
             RunError::System(_) | RunError::Stdout(_) | RunError::Soak(_) => 1,
+            // The next start may find room.
+            RunError::Unwritable { reason, .. } if is_full(reason) => 1,
             _ => 2,
         }
     }
@@ -85,5 +87,16 @@ impl RunError {
     /// Whoever read the results does not want any more of them.
     pub fn is_closed_pipe(&self) -> bool {
         matches!(self, RunError::Stdout(reason) if reason.kind() == io::ErrorKind::BrokenPipe)
+    }
+}
+
+fn is_full(reason: &io::Error) -> bool {
+    matches!(reason.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
+}
+
+fn remedy(reason: &io::Error) -> &'static str {
+    match is_full(reason) {
+        true => "make room there",
+        false => "check place.state, --out and the rights",
     }
 }

@@ -1,8 +1,10 @@
 //! The file that keeps the place pattern's counters through a restart.
 
-use std::fs::{self, File};
+use std::fs::File;
 use std::io;
 use std::path::Path;
+
+use firmware_bridge::outside::read_text;
 
 use super::RunError;
 use crate::cell::core::PlaceRecord;
@@ -12,9 +14,9 @@ use crate::files::write_atomically;
 ///
 /// # Errors
 /// A file that is no record: nobody knows how full the tray is.
-pub(super) fn read(path: &Path) -> Result<PlaceRecord, RunError> {
+pub(in crate::commands) fn read(path: &Path) -> Result<PlaceRecord, RunError> {
     let bad = |reason: String| RunError::PlaceRecord { path: path.to_owned(), reason };
-    match fs::read_to_string(path) {
+    match read_text(path) {
         Ok(text) => toml::from_str(&text).map_err(|e| bad(e.message().to_owned())),
         Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(PlaceRecord::default()),
         Err(e) if e.kind() == io::ErrorKind::InvalidData => Err(bad("no text".into())),
@@ -33,6 +35,7 @@ pub(super) fn write(path: &Path, record: &PlaceRecord) -> io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs;
 
     #[test]
     fn a_record_comes_back_and_a_broken_one_is_refused() {
