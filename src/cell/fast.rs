@@ -9,6 +9,7 @@ use std::time::Duration;
 use super::carrier::Carrier;
 use super::core::Ending;
 use super::desk::{GrabSeat, Letter, Work};
+use super::notify::Watchdog;
 use super::recogniser::recognise;
 use crate::camera::{Camera, Condition, Grab, Side};
 use crate::frame::Frame;
@@ -42,7 +43,9 @@ impl Fast<'_> {
     /// Plays it all; `asked_to_stop` is looked at between pairs, `cold` works off the papers.
     pub fn run(mut self, asked_to_stop: impl Fn() -> bool, mut cold: impl FnMut()) -> Ending {
         let mut now = self.start;
+        let mut watchdog = Watchdog::from_environment();
         loop {
+            watchdog.kick(Timestamp::now());
             now = self.live_until(now, now.after(self.period), &mut cold);
             if asked_to_stop() {
                 self.carrier.event(&super::core::Event::Stop, now);
