@@ -82,6 +82,7 @@ fn missing_frames_are_seen_in_the_sequence_and_in_the_time_stamps() {
 #[test]
 fn a_silent_camera_is_said_once_and_so_is_its_return() {
     let mut bench = Bench::new(params(), &settings(""));
+    bench.arm(Report::Connected { session: 3, held_by: HeldBy::Start });
     assert_eq!(bench.core.next_tick(), Some(Timestamp(bench.now.0 + 800 * MS)));
     bench.pass(799 * MS);
     assert_eq!(bench.alarms(), []);
