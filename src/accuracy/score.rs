@@ -3,7 +3,7 @@
 //! A detection belongs to a part of the same name, one to one, nearest first; it is right where its nodes are less
 //! than [`GATE_MM`] away in the mean, under the symmetry of the part that makes the distance least.
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::truth::{Object, Truth};
 use crate::part::Part;
@@ -85,11 +85,17 @@ impl Score {
     fn add_errors(&mut self, truth: &Truth, object: &Object, found: &FoundPart, part: &Part) {
         let (_, nodes) = distance_mm(found, object, part);
         self.node_mm.extend(nodes);
-        let seen = found.left_from_part * part.grasp.position_mm;
         let true_position = Point3::from(object.grasp.position_mm);
+        // A part that looks the same when turned may be taken at any of the places that look the same.
+        let turned = part.symmetries.iter().map(|s| found.left_from_part * s.part_from_part);
+        let pose = turned.fold(found.left_from_part, |best, pose| {
+            let off_mm = |pose: &Isometry3<f64>| (pose * part.grasp.position_mm - true_position).norm();
+            if off_mm(&pose) < off_mm(&best) { pose } else { best }
+        });
+        let seen = pose * part.grasp.position_mm;
         let error = seen - true_position;
         self.grasp_mm.push(error.norm());
-        let axis = found.left_from_part * part.grasp.approach.cross(&part.grasp.closing);
+        let axis = pose * part.grasp.approach.cross(&part.grasp.closing);
         let true_axis = Vector3::from(object.grasp.axis);
         let cos = (axis.dot(&true_axis) / axis.norm() / true_axis.norm()).abs().min(1.0);
         self.axis_deg.push(cos.acos().to_degrees());

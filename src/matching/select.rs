@@ -18,6 +18,11 @@ pub struct Params {
     pub seen_min: f64,
     /// Share of the part's length that may be background.
     pub missing_max: f64,
+    /// Share of the part's length, the mean of both pictures, on which both outlines must be seen: one side alone may
+    /// be the rim of anything, of a wall in the shadow, too.
+    pub both_sides_min: f64,
+    /// Share of the part's length whose middle must be object in the mask, in each picture.
+    pub solid_min: f64,
     /// Root mean square distance between seen and expected middles, at most, in pixels.
     pub offset_px_max: f64,
     /// Distance of a seen end from the expected one, at most, in pixels.
@@ -40,6 +45,8 @@ impl Default for Params {
         Self {
             seen_min: 0.4,
             missing_max: 0.08,
+            both_sides_min: 0.3,
+            solid_min: 0.85,
             offset_px_max: 0.9,
             end_offset_px_max: 2.5,
             seen_end_mm: 2.0,
@@ -247,6 +254,8 @@ pub fn worth(
 ) -> Worth {
     let missing = (verdict.missing[0] + verdict.missing[1]) / 2.0;
     if missing > params.missing_max
+        || verdict.clear[0] + verdict.clear[1] < 2.0 * params.both_sides_min
+        || verdict.solid[0].min(verdict.solid[1]) < params.solid_min
         || verdict.offset_px > params.offset_px_max
         || verdict.end_offset_px > params.end_offset_px_max
     {

@@ -44,6 +44,8 @@ pub struct Verdict {
     pub clear: [f64; 2],
     /// Share of background where wire should be.
     pub missing: [f64; 2],
+    /// Share of the length whose middle is object in the mask.
+    pub solid: [f64; 2],
     /// How far wire of the same width goes straight on where the part ends or bends, in mm; the longest.
     pub overrun_mm: f64,
     /// The pieces of that wire, stop by stop.
@@ -123,13 +125,14 @@ pub fn verify(
 ) {
     verdict.pieces.clear();
     let (mut squares, mut seen) = (0.0, 0.0);
-    let mut shares = [[0.0; 2]; 2];
+    let mut shares = [[0.0; 3]; 2];
     for (station, sightings) in model.stations.iter().zip(refine.sightings()) {
         let mut piece = [PieceSight::default(); 2];
         for side in 0..2 {
             let share = station.length_mm / model.length_mm;
             if let Some(sighting) = &sightings[side] {
                 let (sight, offset) = sight_of(sighting);
+                shares[side][2] += if sighting.object { share } else { 0.0 };
                 if let Some(offset) = offset {
                     squares += offset * offset;
                     seen += 1.0;
@@ -151,6 +154,7 @@ pub fn verify(
     }
     verdict.clear = shares.map(|s| s[0]);
     verdict.missing = shares.map(|s| s[1]);
+    verdict.solid = shares.map(|s| s[2]);
     verdict.offset_px = if seen > 0.0 { f64::sqrt(squares / seen) } else { f64::INFINITY };
     verdict.onward.clear();
     for (index, stop) in stops.iter().enumerate() {

@@ -50,7 +50,7 @@ pub(super) struct Scene<'a> {
     pub(super) stereo_nodes: &'a [StereoNode],
     /// Unit vector downwards in the left camera's frame, and how steep wire may be.
     pub(super) down: Vector3<f64>,
-    pub(super) slope_sin_max: f64,
+    pub(super) slope_rad_max: f64,
 }
 
 /// Workspace.
@@ -60,8 +60,10 @@ pub(super) struct Explanations {
     list: Vec<Explanation>,
     count: usize,
     claims: [ClaimMap; 2],
-    /// Image nodes, left and right, that are ends of parts recognised for certain.
-    ends_taken: [Vec<bool>; 2],
+    /// For every part of the list, the wire in the left picture that it need not explain again.
+    settled: Vec<ClaimMap>,
+    /// For image nodes, left and right, the length in mm of the longest part recognised for certain that ends there.
+    ends_taken: [Vec<f64>; 2],
     /// Coarse poses that show no end.
     endless: Vec<(Hypothesis, Isometry3<f64>)>,
 }
@@ -84,6 +86,7 @@ impl Explanations {
             list: std::iter::repeat_with(blank).take(EXPLANATIONS_MAX).collect(),
             count: 0,
             claims: [&rig.left, &rig.right].map(|c| ClaimMap::new(c.width, c.height)),
+            settled: parts.iter().map(|_| ClaimMap::new(rig.left.width, rig.left.height)).collect(),
             ends_taken: [0, 1].map(|_| Vec::with_capacity(nodes_max)),
             endless: Vec::with_capacity(EXPLANATIONS_MAX),
         }
@@ -92,10 +95,10 @@ impl Explanations {
     /// Forgets the last pair.
     pub(super) fn clear(&mut self, image_nodes: [&[ImageNode]; 2]) {
         self.count = 0;
-        self.claims.iter_mut().for_each(ClaimMap::clear);
+        self.claims.iter_mut().chain(&mut self.settled).for_each(ClaimMap::clear);
         for (taken, nodes) in self.ends_taken.iter_mut().zip(image_nodes) {
             taken.clear();
-            taken.resize(nodes.len(), false);
+            taken.resize(nodes.len(), 0.0);
         }
     }
 
@@ -105,8 +108,8 @@ impl Explanations {
     }
 
     /// Refines and judges hypotheses, each pose once; says whether there was time and room for all. Wire and ends that a certain
-    /// explanation has are not explained again, and poses that show no end are looked at last, where no sound explanation
-    /// has their wire. A count of iterations is for the searches: what they find is always looked at.
+    /// explanation has are not explained again, unless by a longer part, of which it may be a piece; and poses that show no
+    /// end are looked at last, where no sound explanation has their wire. A count of iterations is for the searches: what they find is always looked at.
     pub(super) fn explain(&mut self, scene: &Scene, pool: &[Hypothesis], budget: Budget) -> bool {
         self.endless.clear();
         for hypothesis in pool {
@@ -116,7 +119,7 @@ impl Explanations {
             let prepared = &scene.parts[hypothesis.part];
             let rough = &hypothesis.left_from_part;
             if self.takes_taken_end(scene, hypothesis)
-                || self.is_explained(scene, prepared, rough)
+                || self.is_explained(scene, hypothesis.part, rough)
                 || prepared.is_among(self.all(), hypothesis.part, rough, SAME_ROUGH_MM)
             {
                 continue;
@@ -128,7 +131,7 @@ impl Explanations {
                 self.conclude(scene, hypothesis, &pose);
             }
         }
-        self.claim_sound(0);
+        self.claim_sound(0, scene.parts);
         let known = self.count;
         let endless = std::mem::take(&mut self.endless);
         let mut in_time = true;
@@ -137,12 +140,12 @@ impl Explanations {
             if !in_time {
                 break;
             }
-            if !self.is_explained(scene, &scene.parts[hypothesis.part], pose) {
+            if !self.is_explained(scene, hypothesis.part, pose) {
                 self.conclude(scene, hypothesis, pose);
             }
         }
         self.endless = endless;
-        self.claim_sound(known);
+        self.claim_sound(known, scene.parts);
         in_time && self.count < EXPLANATIONS_MAX
     }
 
@@ -156,7 +159,7 @@ impl Explanations {
             return;
         }
         let Some(fit) = self.refine.fine(model, pose, &scene.views) else { return };
-        if prepared.slope_sin(&fit.left_from_part, &scene.down) > scene.slope_sin_max
+        if prepared.is_too_steep(&fit.left_from_part, &scene.down, scene.slope_rad_max)
             || prepared.is_among(self.all(), hypothesis.part, &fit.left_from_part, [SAME_MM; 2])
         {
             return;
@@ -168,14 +171,17 @@ impl Explanations {
         explanation.covariance = self.refine.covariance(model, &fit);
         if select::is_certain(&fit, verdict, model.ends.len()) {
             self.claim(self.count);
+            self.settle(self.count, scene.parts);
             for end in self.refine.ends() {
                 for side in 0..2 {
                     let Some(end) = end[side] else { continue };
-                    take_end(scene.image_nodes[side], &end.expected_px, &mut self.ends_taken[side]);
+                    let taken = &mut self.ends_taken[side];
+                    take_end(scene.image_nodes[side], &end.expected_px, taken, model.length_mm);
                 }
             }
         } else if select::is_anchored(&fit, verdict) {
             self.claim(self.count);
+            settle_for(&mut self.settled[hypothesis.part], &self.list[self.count].verdict);
         }
         self.count += 1;
     }
@@ -192,30 +198,47 @@ impl Explanations {
         }
     }
 
+    /// No part that is not longer need explain the wire of an explanation again.
+    fn settle(&mut self, index: usize, parts: &[Prepared]) {
+        let Explanation { hypothesis, verdict, .. } = &self.list[index];
+        let length_mm = parts[hypothesis.part].pose_model.length_mm;
+        for (settled, part) in self.settled.iter_mut().zip(parts) {
+            if part.pose_model.length_mm <= length_mm {
+                settle_for(settled, verdict);
+            }
+        }
+    }
+
     /// Claims the wire of all explanations from `first` on that nothing speaks against.
-    fn claim_sound(&mut self, first: usize) {
+    fn claim_sound(&mut self, first: usize, parts: &[Prepared]) {
         for index in first..self.count {
             let Explanation { fit, verdict, has_claimed, .. } = &self.list[index];
-            if !has_claimed && select::is_sound(fit, verdict) {
-                self.claim(index);
+            if select::is_sound(fit, verdict) {
+                if !has_claimed {
+                    self.claim(index);
+                }
+                self.settle(index, parts);
             }
         }
     }
 
     fn takes_taken_end(&self, scene: &Scene, hypothesis: &Hypothesis) -> bool {
+        let length_mm = scene.parts[hypothesis.part].pose_model.length_mm;
         hypothesis.nodes.iter().filter(|n| **n != UNMATCHED).any(|&n| {
             let node = &scene.stereo_nodes[n as usize];
-            self.ends_taken[0][node.left as usize] || self.ends_taken[1][node.right as usize]
+            self.ends_taken[0][node.left as usize].max(self.ends_taken[1][node.right as usize]) >= length_mm
         })
     }
 
-    /// Whether most of the wire that a part at a pose would explain is claimed already.
-    fn is_explained(&self, scene: &Scene, prepared: &Prepared, pose: &Isometry3<f64>) -> bool {
-        let stations = &prepared.pose_model.stations;
+    /// Whether most of the wire that a part at a pose would explain need not be explained again.
+    fn is_explained(&self, scene: &Scene, part: usize, pose: &Isometry3<f64>) -> bool {
+        let model = &scene.parts[part].pose_model;
+        let settled = &self.settled[part];
+        let stations = &model.stations;
         let probes = stations.iter().step_by((stations.len() / 8).max(1));
         let (probed, mut claimed) = (probes.len(), 0);
-        self.refine.expect(&prepared.pose_model, probes, pose, &scene.views, |side, px, across| {
-            claimed += usize::from(side == 0 && self.claims[0].is_claimed_at(&px, &across));
+        self.refine.expect(model, probes, pose, &scene.views, |side, px, across| {
+            claimed += usize::from(side == 0 && settled.is_claimed_at(&px, &across));
         });
         2 * claimed > probed
     }
@@ -228,6 +251,7 @@ impl Explanations {
             let Explanation { hypothesis, has_claimed, .. } = &self.list[index];
             if *has_claimed || worth_mm >= parts[hypothesis.part].pose_model.length_mm {
                 self.claim(index);
+                self.settle(index, parts);
                 standing += 1;
             }
         }
@@ -291,14 +315,19 @@ impl Explanation {
     }
 }
 
-/// Marks the end of a picture at a place: the nearest, for another wire may end beside it.
-fn take_end(nodes: &[ImageNode], at: &Vector2<f64>, taken: &mut [bool]) {
+/// Marks the wire of an explanation as settled.
+fn settle_for(settled: &mut ClaimMap, verdict: &Verdict) {
+    verdict.pieces.iter().for_each(|[left, _]| settled.claim(left));
+}
+
+/// Marks the end of a picture at a place as that of a part of this length: the nearest, for another wire may end beside it.
+fn take_end(nodes: &[ImageNode], at: &Vector2<f64>, taken: &mut [f64], length_mm: f64) {
     let distance_px = |node: &ImageNode| (node.position_px - at).norm();
     let nearest = (0..nodes.len())
         .filter(|&n| nodes[n].role == NodeRole::End && distance_px(&nodes[n]) < SAME_END_PX)
         .min_by(|&a, &b| distance_px(&nodes[a]).total_cmp(&distance_px(&nodes[b])));
     if let Some(n) = nearest {
-        taken[n] = true;
+        taken[n] = taken[n].max(length_mm);
     }
 }
 

@@ -209,8 +209,8 @@ impl Recognizer {
             }
         }
         let down = grasp::down_in_left(&params.grasp);
-        let slope_sin_max = params.slope_rad_max.sin();
-        pool.retain(|h| parts[h.part].slope_sin(&h.left_from_part, &down) <= slope_sin_max);
+        let slope_rad_max = params.slope_rad_max;
+        pool.retain(|h| !parts[h.part].is_too_steep(&h.left_from_part, &down, slope_rad_max));
         pool.sort_unstable_by(|a, b| a.fitness.total_cmp(&b.fitness));
     }
 
@@ -261,7 +261,8 @@ impl Recognizer {
             };
             lines.hypotheses(index, &judge, pool);
         }
-        pool.retain(|h| parts[h.part].slope_sin(&h.left_from_part, &down) <= slope_sin_max);
+        let slope_rad_max = params.slope_rad_max;
+        pool.retain(|h| !parts[h.part].is_too_steep(&h.left_from_part, &down, slope_rad_max));
         pool.sort_unstable_by(|a, b| a.fitness.total_cmp(&b.fitness));
         !pool.is_empty()
     }
@@ -275,7 +276,7 @@ impl Recognizer {
             image_nodes: self.pictures.each_ref().map(Picture::nodes),
             stereo_nodes: self.search.nodes(),
             down: grasp::down_in_left(&self.params.grasp),
-            slope_sin_max: self.params.slope_rad_max.sin(),
+            slope_rad_max: self.params.slope_rad_max,
         };
         out.out_of_time |= !self.explanations.explain(&scene, &self.pool, budget);
     }

@@ -1,5 +1,7 @@
 //! A part with all that recognition works out of it beforehand.
 
+use std::f64::consts::FRAC_PI_2;
+
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::explanations::Explanation;
@@ -18,6 +20,8 @@ pub(super) struct Prepared {
     pub(super) stops: Vec<Stop>,
     /// Mean of nodes and bends, which no symmetry moves.
     middle_mm: Point3<f64>,
+    /// Slope in radians that some wire of the part has at least, however it lies: nought for a flat part.
+    raised_rad: f64,
 }
 
 impl Prepared {
@@ -28,7 +32,8 @@ impl Prepared {
         let anchors = &match_model.anchors;
         let sum = anchors.iter().map(|a| a.position_mm.coords).sum::<Vector3<f64>>();
         let middle_mm = Point3::from(sum / anchors.len().max(1) as f64);
-        Self { part, pose_model, match_model, stops, middle_mm }
+        let raised_rad = raised_rad(&match_model);
+        Self { part, pose_model, match_model, stops, middle_mm, raised_rad }
     }
 
     pub(super) fn placed<'a>(&'a self, left_from_part: &'a Isometry3<f64>, sigma_mm: f64) -> Placed<'a> {
@@ -40,10 +45,17 @@ impl Prepared {
         share * self.pose_model.length_mm / self.pose_model.radius_mm
     }
 
-    /// Sine of the steepest slope of its straight pieces.
-    pub(super) fn slope_sin(&self, left_from_part: &Isometry3<f64>, down: &Vector3<f64>) -> f64 {
+    /// Whether a straight piece of it is steeper than parts lie: `slope_rad_max`, and more for a part that is not flat.
+    pub(super) fn is_too_steep(
+        &self,
+        left_from_part: &Isometry3<f64>,
+        down: &Vector3<f64>,
+        slope_rad_max: f64,
+    ) -> bool {
         let slope = |leg: &(Vector3<f64>, f64)| (left_from_part * leg.0).dot(down).abs();
-        self.match_model.anchors.iter().flat_map(|a| a.legs.iter().map(slope)).fold(0.0, f64::max)
+        let steepest =
+            self.match_model.anchors.iter().flat_map(|a| a.legs.iter().map(slope)).fold(0.0, f64::max);
+        steepest > (slope_rad_max + 2.0 * self.raised_rad).min(FRAC_PI_2).sin()
     }
 
     /// Whether an explanation of this part, whose index is `part`, lies near a pose: nearer than the first distance in mm, or the second
@@ -97,6 +109,28 @@ impl Prepared {
             .fold(mean(&Isometry3::identity()), f64::min)
     }
 }
+
+/// See [`Prepared::raised_rad`]: of a part that is not flat the least over many ways in which it may lie.
+fn raised_rad(model: &MatchModel) -> f64 {
+    let legs = || model.anchors.iter().flat_map(|a| a.legs.iter().map(|leg| leg.0));
+    let steepest = |up: &Vector3<f64>| legs().map(|leg| leg.dot(up).abs()).fold(0.0, f64::max);
+    let across = legs().flat_map(|a| legs().filter_map(move |b| a.cross(&b).try_normalize(0.05)));
+    let ways = (0..WAYS_UP).map(|k| {
+        // Evenly over a half sphere: the golden angle on.
+        let z = (f64::from(k) + 0.5) / f64::from(WAYS_UP);
+        let (sin, cos) = (f64::from(k) * GOLDEN_ANGLE_RAD).sin_cos();
+        let r = (1.0 - z * z).sqrt();
+        Vector3::new(r * cos, r * sin, z)
+    });
+    let least = across.chain(ways).map(|up| steepest(&up)).fold(1.0, f64::min);
+    if model.straight || least < FLAT_SIN { 0.0 } else { least.asin() }
+}
+
+/// Ways in which a part may lie that are tried.
+const WAYS_UP: u32 = 2000;
+const GOLDEN_ANGLE_RAD: f64 = 2.399_963_229_728_653;
+/// Wires that can all lie this near to the level make a flat part.
+const FLAT_SIN: f64 = 0.05;
 
 /// Where the wire of a part stops or turns away.
 fn stops_of(model: &MatchModel, pose_model: &PoseModel) -> Vec<Stop> {
