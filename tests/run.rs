@@ -1,11 +1,13 @@
 //! `pickcell run` as a whole program, on the session that comes with the project and on bad input.
 
 use std::fs;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
 
 use firmware_bridge::message::{Command as ArmCommand, Failure, HeldBy, Pick, Pose, Refusal, Report, Seen};
+use firmware_bridge::outside::has_room;
 use pickcell::camera::Side;
 use pickcell::session::events::{CommandRecord, ReportRecord, Topic};
 use pickcell::session::{About, RecordingWriter, Session};
@@ -257,6 +259,33 @@ fn disturbed(changes: &[(&str, &str)], then: impl Fn(Pid)) -> (i32, String, Stri
     lines.for_each(|line| text += &(line.unwrap() + "\n"));
     let output = child.wait_with_output().unwrap();
     (output.status.code().unwrap_or(-1), text, stderr(&output))
+}
+
+#[test]
+fn a_reader_that_stands_still_holds_up_nothing() {
+    let cell = Cell::new(&[]);
+    // Nobody reads, and there is no room any more.
+    let (reader, mut writer) = std::io::pipe().unwrap();
+    while has_room(&writer, Duration::ZERO) {
+        writer.write_all(&[b'x'; 4096]).unwrap();
+    }
+    let mut run = cell.command(&["--overlay", "none", "--iterations", "2000"]);
+    let mut child = run.stdout(writer.try_clone().unwrap()).stderr(writer).spawn().unwrap();
+    let until = Instant::now() + Duration::from_secs(60);
+    let status = loop {
+        match child.try_wait().unwrap() {
+            Some(status) => break status,
+            None if Instant::now() > until => {
+                child.kill().unwrap();
+                panic!("it waits for its reader");
+            }
+            None => std::thread::sleep(Duration::from_millis(20)),
+        }
+    };
+    drop(reader);
+    assert_eq!(status.code(), Some(0));
+    let record = fs::read_to_string(cell.path("out/place.state")).unwrap();
+    assert!(!record.contains("next_slot = 0"), "a target was sent: {record}");
 }
 
 #[test]

@@ -3,8 +3,11 @@
 
 use std::fs::File;
 use std::io::{self, Read, Write};
+use std::os::fd::AsFd;
 use std::path::Path;
+use std::time::Duration;
 
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 /// Largest text file that is read: a thousand times what any cell needs. A device that never ends (/dev/zero) must
@@ -48,14 +51,26 @@ fn ignores(status: &str, signal: i32) -> bool {
     mask >> (signal - 1) & 1 == 1
 }
 
-/// Standard error for a log: what cannot be written there is lost. A full disk, or a reader that has gone, must not
-/// stop an arm; a logger that gets an error would complain on standard error, and panic over that.
+/// Whether a line can be written to an output without waiting, or can be within a time. A paused terminal, or a
+/// reader that stands still, must not hold up what writes. What is broken does not wait either: there is room.
+pub fn has_room(output: impl AsFd, within: Duration) -> bool {
+    let timeout = Timespec {
+        tv_sec: i64::try_from(within.as_secs()).unwrap_or(i64::MAX),
+        tv_nsec: i64::from(within.subsec_nanos()),
+    };
+    !matches!(poll(&mut [PollFd::new(&output, PollFlags::OUT)], Some(&timeout)), Ok(0))
+}
+
+/// Standard error for a log: what cannot be written there at once is lost. A full disk, a paused terminal, or a reader
+/// that has gone must not stop an arm; a logger that gets an error would complain on standard error, and panic over that.
 #[derive(Debug, Default)]
 pub struct LogOutput;
 
 impl Write for LogOutput {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let _ = io::stderr().write_all(bytes);
+        if has_room(io::stderr(), Duration::ZERO) {
+            let _ = io::stderr().write_all(bytes);
+        }
         Ok(bytes.len())
     }
 
@@ -73,6 +88,22 @@ mod tests {
         assert_eq!(read_text("/dev/zero".as_ref()).unwrap_err().kind(), io::ErrorKind::FileTooLarge);
         assert_eq!(read_text("/dev/null".as_ref()).unwrap(), "");
         assert_eq!(read_text("/".as_ref()).unwrap_err().kind(), io::ErrorKind::IsADirectory);
+    }
+
+    #[test]
+    fn a_pipe_that_nobody_reads_has_no_room_until_somebody_does() {
+        let (mut reader, mut writer) = io::pipe().unwrap();
+        let mut written = 0;
+        while has_room(&writer, Duration::ZERO) {
+            writer.write_all(&[b'x'; 4096]).unwrap();
+            written += 4096;
+            assert!(written < 64 << 20, "it never fills");
+        }
+        assert!(!has_room(&writer, Duration::from_millis(5)));
+        reader.read_exact(&mut vec![0; written]).unwrap();
+        assert!(has_room(&writer, Duration::ZERO));
+        drop(reader);
+        assert!(has_room(&writer, Duration::ZERO), "what is broken does not wait");
     }
 
     #[test]

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
+use firmware_bridge::outside::has_room;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
@@ -25,6 +26,8 @@ use crate::time::Timestamp;
 
 /// systemd is told a new status at most this often, ns.
 const STATUS_NS: i64 = 2_000_000_000;
+/// How long the table at the end waits for somebody to take it.
+const LAST_WORDS: Duration = Duration::from_secs(2);
 
 /// Everything that the cold thread has to do with.
 pub(super) struct Cold {
@@ -52,6 +55,8 @@ pub(super) struct Cold {
     pairs: u64,
     status_at: Timestamp,
     failed: Option<RunError>,
+    /// A session on its own time leaves no line out.
+    waits_for_readers: bool,
 }
 
 impl Cold {
@@ -97,6 +102,7 @@ impl Cold {
             pairs: 0,
             status_at: Timestamp::default(),
             failed: None,
+            waits_for_readers: fast,
             desk,
             seat,
         })
@@ -208,7 +214,9 @@ impl Cold {
 
     fn pair(&mut self, report: &PairReport, file: Option<Box<File>>) {
         self.pairs += 1;
-        self.bar.inc(1);
+        if has_room(io::stderr(), Duration::ZERO) {
+            self.bar.set_position(self.pairs);
+        }
         let mut kept = report.deadline_kept;
         if let Some(file) = &file {
             kept &= file.finished.since(report.pair.earliest()) <= self.deadline_ns;
@@ -250,7 +258,7 @@ impl Cold {
             Format::Text => self.text_line(&name, report, file, kept),
             Format::Json => self.json_line(&name, report, file, kept),
         };
-        self.print(&line);
+        self.print(&line, Duration::ZERO);
     }
 
     fn text_line(&self, name: &str, report: &PairReport, file: Option<&File>, kept: bool) -> String {
@@ -309,16 +317,21 @@ impl Cold {
         }
     }
 
-    /// Prints a line of the results; the first failure is kept for the end.
-    fn print(&mut self, line: &str) {
-        if self.failed.is_none() {
+    /// Prints a line of the results; the first failure is kept for the end. A running cell leaves out lines that
+    /// nobody takes (a paused terminal, a reader that stands still): they must not hold up the place records.
+    fn print(&mut self, line: &str, within: Duration) {
+        if !self.waits_for_readers && !has_room(io::stdout(), within) {
+            self.desk.telemetry.add_unshown();
+        } else if self.failed.is_none() {
             let result = self.bar.suspend(|| writeln!(io::stdout().lock(), "{line}"));
             self.failed = result.err().map(RunError::Stdout);
         }
     }
 
     fn log(&self, say: impl FnOnce()) {
-        self.bar.suspend(say);
+        if has_room(io::stderr(), Duration::ZERO) {
+            self.bar.suspend(say);
+        }
     }
 
     /// The table, and what went wrong, if anything did.
@@ -340,11 +353,11 @@ impl Cold {
         let verdict = self.endurance.take().map_or(Ok(String::new()), |endurance| {
             endurance.verdict(telemetry, resident_bytes).map(|line| line + "\n")
         });
-        self.print(&table);
+        self.print(&table, LAST_WORDS);
         if let (Ok(line), Format::Text) = (&verdict, self.format)
             && !line.is_empty()
         {
-            self.print(line.trim_end());
+            self.print(line.trim_end(), LAST_WORDS);
         }
         match self.failed.take() {
             Some(failed) => Err(failed),
