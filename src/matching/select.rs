@@ -66,6 +66,8 @@ const DIRECTIONS: i32 = 32;
 const SAME_DIRECTION: i32 = 3;
 /// Side of a cell of the claim map, in pixels.
 const CELL_PX: f64 = 3.0;
+/// What is farther from the picture's corner than this many cells is outside of any picture.
+const CELLS_MAX: f64 = 16_000.0;
 
 /// Which stretches of wire are claimed in one picture.
 #[derive(Clone, Debug)]
@@ -111,7 +113,7 @@ impl ClaimMap {
         let reach = piece.half_width_px * (0.8 / CELL_PX);
         let steps = reach.ceil().max(1.0) as i32;
         // In 1/65536 of a cell, half a cell on, so that what is before the point is the nearest cell.
-        let fixed = |v: &Vector2<f64>| [v.x, v.y].map(|v| (v * 65536.0) as i32);
+        let fixed = |v: &Vector2<f64>| [v.x, v.y].map(|v| (v.clamp(-CELLS_MAX, CELLS_MAX) * 65536.0) as i32);
         let step = fixed(&(piece.across * (reach / f64::from(steps))));
         let middle = fixed(&(piece.expected_px / CELL_PX).add_scalar(0.5));
         // One along the wire, too, so that none is left between two pieces.

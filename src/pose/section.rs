@@ -312,7 +312,8 @@ pub fn mask_run(
     search_px: f64,
 ) -> Option<(f64, f64)> {
     // In 1/65536 pixels, half a pixel on, so that what is before the point is the nearest pixel.
-    let fixed = |v: f64| (v * 65536.0) as i64;
+    // What is a million pixels away is outside, and stays so in whole numbers.
+    let fixed = |v: f64| (v.clamp(-1e6, 1e6) * 65536.0) as i64;
     let ([x, y], [dx, dy]) = ([origin.x, origin.y].map(|v| fixed(v + 0.5)), [across.x, across.y].map(fixed));
     let object = |t: i32| {
         let at = |from: i64, step: i64| ((from + step * i64::from(t)) >> 16) as i32;

@@ -18,9 +18,9 @@ pub(super) const LANES: usize = 8;
 
 /// A part at a pose, looked at by one camera after the other.
 pub(super) struct Sweep {
-    pub(super) level: Level,
+    level: Level,
     /// From the part's frame to the left camera's.
-    pub(super) left_from_part: Isometry3<f64>,
+    left_from_part: Isometry3<f64>,
     rotation: Matrix3<f64>,
     /// Where the part turns about, in the left camera's frame.
     centre: Point3<f64>,
