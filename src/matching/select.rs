@@ -76,24 +76,31 @@ pub struct ClaimMap {
     rows: i32,
     /// A bit for each direction in which wire is claimed.
     cells: Vec<u32>,
-    touched: Vec<u32>,
+    /// A bit for each run of cells in which one was claimed.
+    claimed_runs: Vec<u64>,
 }
+
+/// Cells that are cleared together.
+const RUN_CELLS: usize = 16;
 
 impl ClaimMap {
     /// For pictures of this size.
     pub fn new(width: usize, height: usize) -> Self {
         let columns = (width as f64 / CELL_PX) as i32 + 1;
         let rows = (height as f64 / CELL_PX) as i32 + 1;
-        let cells = (columns * rows) as usize;
-        Self { columns, rows, cells: vec![0; cells], touched: Vec::with_capacity(cells) }
+        let runs = ((columns * rows) as usize).div_ceil(RUN_CELLS);
+        Self { columns, rows, cells: vec![0; runs * RUN_CELLS], claimed_runs: vec![0; runs.div_ceil(64)] }
     }
 
     /// Nothing is claimed.
     pub fn clear(&mut self) {
-        for &t in &self.touched {
-            self.cells[t as usize] = 0;
+        for (k, claimed) in self.claimed_runs.iter_mut().enumerate() {
+            while *claimed != 0 {
+                let run = 64 * k + claimed.trailing_zeros() as usize;
+                self.cells[run * RUN_CELLS..][..RUN_CELLS].fill(0);
+                *claimed &= *claimed - 1;
+            }
         }
-        self.touched.clear();
     }
 
     /// The cell of a place, in sides of cells.
@@ -104,7 +111,9 @@ impl ClaimMap {
 
     #[inline]
     fn cell_at(&self, c: i32, r: i32) -> Option<usize> {
-        (c >= 0 && r >= 0 && c < self.columns && r < self.rows).then(|| (r * self.columns + c) as usize)
+        // What is negative is large then.
+        let inside = (c as u32) < self.columns as u32 && (r as u32) < self.rows as u32;
+        inside.then(|| (r * self.columns + c) as usize)
     }
 
     /// Claims a piece of wire.
@@ -118,16 +127,17 @@ impl ClaimMap {
         let middle = fixed(&(piece.expected_px / CELL_PX).add_scalar(0.5));
         // One along the wire, too, so that none is left between two pieces.
         let along = fixed(&Vector2::new(piece.across.y, -piece.across.x));
-        for k in -steps..=steps {
-            for j in -1..=1 {
-                let at = |axis: usize| (middle[axis] + k * step[axis] + j * along[axis]) >> 16;
-                if let Some(cell) = self.cell_at(at(0), at(1)) {
-                    if self.cells[cell] == 0 {
-                        self.touched.push(cell as u32);
-                    }
+        let [mut x, mut y] = [0, 1].map(|axis: usize| middle[axis] - steps * step[axis] - along[axis]);
+        for _ in -steps..=steps {
+            for j in 0..3 {
+                let at = self.cell_at((x + j * along[0]) >> 16, (y + j * along[1]) >> 16);
+                if let Some(cell) = at {
                     self.cells[cell] |= direction;
+                    let run = cell / RUN_CELLS;
+                    self.claimed_runs[run / 64] |= 1 << (run % 64);
                 }
             }
+            (x, y) = (x + step[0], y + step[1]);
         }
     }
 
@@ -204,24 +214,29 @@ pub fn is_certain(fit: &Fit, verdict: &Verdict, ends: usize) -> bool {
         && fit.misfit < 1.2
 }
 
-/// Whether nothing speaks against an explanation, though not all of it may be seen.
-pub fn is_sound(fit: &Fit, verdict: &Verdict) -> bool {
-    verdict.ends_seen >= 2 && verdict.offset_px < 0.4 && fits(fit, verdict)
+/// Whether nothing speaks against an explanation, though not all of it may be seen. `overrun_mm`: how far wire goes on
+/// beyond it that is not known to be another's.
+pub fn is_sound(fit: &Fit, verdict: &Verdict, overrun_mm: f64) -> bool {
+    verdict.ends_seen >= 2 && verdict.offset_px < 0.4 && overrun_mm == 0.0 && fits(fit, verdict)
 }
 
 /// Whether an explanation is held along its wire: both pictures see an end of it where it should be, all its wire is
-/// there and none beyond. The same part can then lie nowhere else on this wire: it would reach beyond the seen end, or stop
-/// in the middle of wire.
-pub fn is_anchored(fit: &Fit, verdict: &Verdict) -> bool {
-    verdict.ends_in_both > 0 && verdict.offset_px < 0.6 && fits(fit, verdict)
+/// there and none beyond that is not known to be another's. The same part can then lie nowhere else on this wire: it would
+/// reach beyond the seen end, or stop in the middle of wire.
+pub fn is_anchored(fit: &Fit, verdict: &Verdict, overrun_mm: f64) -> bool {
+    verdict.ends_in_both > 0 && verdict.offset_px < 0.6 && overrun_mm == 0.0 && fits(fit, verdict)
 }
 
-/// Whether ends that are seen are where they should be, all wire is there, and none goes on.
+/// Whether ends that are seen are where they should be, and all wire is there.
 fn fits(fit: &Fit, verdict: &Verdict) -> bool {
-    verdict.end_offset_px < 1.0
-        && verdict.missing.iter().all(|m| *m < 0.02)
-        && verdict.overrun_mm == 0.0
-        && fit.misfit < 1.5
+    verdict.end_offset_px < 1.0 && verdict.missing.iter().all(|m| *m < 0.02) && fit.misfit < 1.5
+}
+
+/// How far wire goes on beyond an explanation that nobody has claimed, in mm.
+pub fn unclaimed_overrun_mm(model: &PoseModel, verdict: &Verdict, claims: &[ClaimMap; 2]) -> f64 {
+    verify::overrun_mm(model, &verdict.onward, |piece| {
+        !claims[piece.side].is_claimed_at(&piece.expected_px, &piece.across)
+    })
 }
 
 /// Whether the length of a part is proved: nothing speaks against it, or each free end is seen in a picture, or it is
@@ -229,7 +244,7 @@ fn fits(fit: &Fit, verdict: &Verdict) -> bool {
 pub fn is_proven(model: &PoseModel, fit: &Fit, verdict: &Verdict) -> bool {
     model.straight_along.is_none()
         || verdict.ends_shown as usize == model.ends.len()
-        || is_sound(fit, verdict)
+        || is_sound(fit, verdict, verdict.overrun_mm)
 }
 
 /// What an explanation is worth, in mm of wire.
@@ -269,9 +284,7 @@ pub fn worth(
         return Worth::NONE;
     }
     // Wire that goes on is no riddle where it is known whose it is.
-    let overrun_mm = verify::overrun_mm(model, &verdict.onward, |piece| {
-        !claims[piece.side].is_claimed_at(&piece.expected_px, &piece.across)
-    });
+    let overrun_mm = unclaimed_overrun_mm(model, verdict, claims);
     let px_per_mm = verdict.pieces.first().map_or(1.0, |p| p[0].half_width_px / model.radius_mm).max(1e-3);
     let against = missing * model.length_mm + verdict.ends_off_px / px_per_mm;
     let ends = params.seen_end_mm * f64::from(verdict.ends_seen)
@@ -286,7 +299,11 @@ pub fn worth(
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use super::*;
+    use crate::part::Part;
+    use crate::pose::verify::OnwardPiece;
 
     fn piece(x: f64, y: f64, across: [f64; 2]) -> PieceSight {
         PieceSight {
@@ -307,6 +324,37 @@ mod tests {
         assert!(claims.is_claimed(&level) && claims.is_claimed(&upright));
         claims.clear();
         assert!(!claims.is_claimed(&level) && !claims.is_claimed_by_any(&Vector2::new(50.0, 50.0)));
+    }
+
+    #[test]
+    fn wire_that_goes_on_and_is_known_to_be_anothers_speaks_against_nobody() {
+        let rod = Part::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts/rod-90.toml")).unwrap();
+        let model = PoseModel::new(&rod);
+        let beyond = |x: f64| OnwardPiece {
+            stop: 0,
+            side: 1,
+            expected_px: Vector2::new(x, 50.0),
+            across: Vector2::new(0.0, 1.0),
+        };
+        let verdict = Verdict {
+            onward: vec![beyond(50.0), beyond(56.0)],
+            ends_in_both: 1,
+            ends_seen: 2,
+            ..Verdict::default()
+        };
+        let fit = Fit { misfit: 0.6, ..Fit::default() };
+        let mut claims = [ClaimMap::new(100, 100), ClaimMap::new(100, 100)];
+        let left_mm = |claims: &[ClaimMap; 2]| {
+            let overrun_mm = unclaimed_overrun_mm(&model, &verdict, claims);
+            (overrun_mm / model.radius_mm, is_anchored(&fit, &verdict, overrun_mm))
+        };
+        assert_eq!(left_mm(&claims), (2.0, false));
+        claims[1].claim(&piece(56.0, 50.0, [0.0, 1.0]));
+        assert_eq!(left_mm(&claims), (1.0, false));
+        claims[1].claim(&piece(50.0, 50.0, [0.0, 1.0]));
+        assert_eq!(left_mm(&claims), (0.0, true));
+        claims[1].clear();
+        assert_eq!(left_mm(&claims), (2.0, false));
     }
 
     #[test]

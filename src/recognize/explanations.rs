@@ -3,6 +3,7 @@
 //! Takes hypotheses, fittest first, and both pictures; gives those that stand. Owns the explanations and the maps of what
 //! they claim.
 
+use arrayvec::ArrayVec;
 use nalgebra::{Isometry3, Matrix6, Vector2, Vector3};
 
 use super::prepared::Prepared;
@@ -11,7 +12,9 @@ use crate::matching::hypotheses::Hypothesis;
 use crate::matching::nodes::{ImageNode, NodeRole};
 use crate::matching::problem::StereoNode;
 use crate::matching::select::{self, ClaimMap, Worth};
+use crate::part::NODES_MAX;
 use crate::pose::refine::{self, Fit, Refine, View};
+use crate::pose::shading::Shading;
 use crate::pose::verify::{Verdict, verify};
 use crate::rig::Rig;
 use crate::time::Budget;
@@ -34,8 +37,16 @@ pub(super) struct Explanation {
     pub(super) verdict: Verdict,
     /// See [`Refine::covariance`].
     pub(super) covariance: Matrix6<f64>,
+    /// Where its free ends are expected, left and right, that both pictures show.
+    ends_px: ArrayVec<[Vector2<f64>; 2], NODES_MAX>,
+    /// Whether these ends are known to be its own.
+    has_ends: bool,
+    /// How far wire goes on beyond it that is not known to be another's, as was last asked.
+    pub(super) overrun_mm: f64,
     /// Whether its wire has been claimed before the competition.
     has_claimed: bool,
+    /// Whether its wire is settled for all parts that are not longer.
+    is_settled: bool,
     /// How many stood when it was last asked what it is worth, and what it was worth then.
     worth: (u32, Worth),
 }
@@ -66,6 +77,8 @@ pub(super) struct Explanations {
     ends_taken: [Vec<f64>; 2],
     /// Coarse poses that show no end.
     endless: Vec<(Hypothesis, Isometry3<f64>)>,
+    /// Those that stand, the most valuable first, and of how many explanations; `None` where that is not known yet.
+    standing: (Option<usize>, Vec<usize>),
 }
 
 impl Explanations {
@@ -78,7 +91,11 @@ impl Explanations {
             fit: Fit::default(),
             verdict: Verdict::with_room(stations.min(refine::STATIONS_MAX), stops),
             covariance: Matrix6::zeros(),
+            ends_px: ArrayVec::new(),
+            has_ends: false,
+            overrun_mm: 0.0,
             has_claimed: false,
+            is_settled: false,
             worth: (0, Worth::NONE),
         };
         Self {
@@ -89,17 +106,24 @@ impl Explanations {
             settled: parts.iter().map(|_| ClaimMap::new(rig.left.width, rig.left.height)).collect(),
             ends_taken: [0, 1].map(|_| Vec::with_capacity(nodes_max)),
             endless: Vec::with_capacity(EXPLANATIONS_MAX),
+            standing: (None, Vec::with_capacity(EXPLANATIONS_MAX)),
         }
     }
 
     /// Forgets the last pair.
     pub(super) fn clear(&mut self, image_nodes: [&[ImageNode]; 2]) {
         self.count = 0;
+        self.standing.0 = None;
         self.claims.iter_mut().chain(&mut self.settled).for_each(ClaimMap::clear);
         for (taken, nodes) in self.ends_taken.iter_mut().zip(image_nodes) {
             taken.clear();
             taken.resize(nodes.len(), 0.0);
         }
+    }
+
+    /// What light does to the outlines.
+    pub(super) fn shading(&self) -> Shading {
+        *self.refine.shading()
     }
 
     /// What is claimed: until the competition by what is certain, sound or whole, then by what stands.
@@ -120,7 +144,7 @@ impl Explanations {
             let rough = &hypothesis.left_from_part;
             if self.takes_taken_end(scene, hypothesis)
                 || self.is_explained(scene, hypothesis.part, rough)
-                || prepared.is_among(self.all(), hypothesis.part, rough, SAME_ROUGH_MM)
+                || prepared.place_among(self.all(), hypothesis.part, rough, SAME_ROUGH_MM).is_some()
             {
                 continue;
             }
@@ -153,37 +177,86 @@ impl Explanations {
     fn conclude(&mut self, scene: &Scene, hypothesis: &Hypothesis, pose: &Isometry3<f64>) {
         let prepared = &scene.parts[hypothesis.part];
         let model = &prepared.pose_model;
-        if self.count == EXPLANATIONS_MAX
-            || prepared.is_among(self.all(), hypothesis.part, pose, SAME_COARSE_MM)
-        {
+        if self.count == EXPLANATIONS_MAX {
+            return;
+        }
+        if let Some(index) = prepared.place_among(self.all(), hypothesis.part, pose, SAME_COARSE_MM) {
+            self.arrive_at(index, scene);
             return;
         }
         let Some(fit) = self.refine.fine(model, pose, &scene.views) else { return };
-        if prepared.is_too_steep(&fit.left_from_part, &scene.down, scene.slope_rad_max)
-            || prepared.is_among(self.all(), hypothesis.part, &fit.left_from_part, [SAME_MM; 2])
-        {
+        let pose = &fit.left_from_part;
+        if prepared.is_too_steep(pose, &scene.down, scene.slope_rad_max) {
+            return;
+        }
+        if let Some(index) = prepared.place_among(self.all(), hypothesis.part, pose, [SAME_MM; 2]) {
+            self.arrive_at(index, scene);
             return;
         }
         let explanation = &mut self.list[self.count];
-        (explanation.hypothesis, explanation.fit, explanation.has_claimed) = (*hypothesis, fit, false);
+        (explanation.hypothesis, explanation.fit) = (*hypothesis, fit);
+        (explanation.has_ends, explanation.has_claimed, explanation.is_settled) = (false, false, false);
         let verdict = &mut explanation.verdict;
         verify(&self.refine, model, &prepared.stops, &fit.left_from_part, &scene.views, verdict);
+        explanation.overrun_mm = verdict.overrun_mm;
         explanation.covariance = self.refine.covariance(model, &fit);
-        if select::is_certain(&fit, verdict, model.ends.len()) {
-            self.claim(self.count);
-            self.settle(self.count, scene.parts);
-            for end in self.refine.ends() {
-                for side in 0..2 {
-                    let Some(end) = end[side] else { continue };
-                    let taken = &mut self.ends_taken[side];
-                    take_end(scene.image_nodes[side], &end.expected_px, taken, model.length_mm);
-                }
+        explanation.ends_px.clear();
+        for end in self.refine.ends() {
+            if let [Some(left), Some(right)] = end
+                && left.beyond_px.is_some()
+                && right.beyond_px.is_some()
+            {
+                let _ = explanation.ends_px.try_push([left.expected_px, right.expected_px]);
             }
-        } else if select::is_anchored(&fit, verdict) {
-            self.claim(self.count);
-            settle_for(&mut self.settled[hypothesis.part], &self.list[self.count].verdict);
         }
+        let index = self.count;
         self.count += 1;
+        if select::is_certain(&fit, &self.list[index].verdict, model.ends.len()) {
+            self.claim(index);
+            self.settle(index, scene.parts);
+            self.take_ends(index, scene);
+        }
+        self.claim_anchored(scene.parts);
+    }
+
+    /// Another hypothesis has led to this explanation. Where both pictures show an end of it, what starts from that end
+    /// leads here, and need not be looked at again.
+    fn arrive_at(&mut self, index: usize, scene: &Scene) {
+        let Explanation { fit, verdict, has_ends, .. } = &self.list[index];
+        if !has_ends && select::is_anchored(fit, verdict, 0.0) {
+            self.take_ends(index, scene);
+        }
+    }
+
+    /// The ends of an explanation that both pictures show are those of no part that is not longer.
+    fn take_ends(&mut self, index: usize, scene: &Scene) {
+        let Explanation { hypothesis, ends_px, has_ends, .. } = &mut self.list[index];
+        *has_ends = true;
+        let length_mm = scene.parts[hypothesis.part].pose_model.length_mm;
+        for end in ends_px {
+            for (side, px) in end.iter().enumerate() {
+                take_end(scene.image_nodes[side], px, &mut self.ends_taken[side], length_mm);
+            }
+        }
+    }
+
+    /// Claims the wire of all explanations that are held along it. A claim may be what tells whose wire it is that goes on
+    /// beyond another one.
+    fn claim_anchored(&mut self, parts: &[Prepared]) {
+        loop {
+            let claims = &self.claims;
+            let is_anchored = |e: &mut Explanation| {
+                !e.has_claimed && {
+                    let model = &parts[e.hypothesis.part].pose_model;
+                    e.overrun_mm = select::unclaimed_overrun_mm(model, &e.verdict, claims);
+                    select::is_anchored(&e.fit, &e.verdict, e.overrun_mm)
+                }
+            };
+            let Some(index) = self.list[..self.count].iter_mut().position(is_anchored) else { return };
+            self.claim(index);
+            let Explanation { hypothesis, verdict, .. } = &self.list[index];
+            settle_for(&mut self.settled[hypothesis.part], verdict);
+        }
     }
 
     fn all(&self) -> &[Explanation] {
@@ -200,6 +273,9 @@ impl Explanations {
 
     /// No part that is not longer need explain the wire of an explanation again.
     fn settle(&mut self, index: usize, parts: &[Prepared]) {
+        if std::mem::replace(&mut self.list[index].is_settled, true) {
+            return;
+        }
         let Explanation { hypothesis, verdict, .. } = &self.list[index];
         let length_mm = parts[hypothesis.part].pose_model.length_mm;
         for (settled, part) in self.settled.iter_mut().zip(parts) {
@@ -212,8 +288,8 @@ impl Explanations {
     /// Claims the wire of all explanations from `first` on that nothing speaks against.
     fn claim_sound(&mut self, first: usize, parts: &[Prepared]) {
         for index in first..self.count {
-            let Explanation { fit, verdict, has_claimed, .. } = &self.list[index];
-            if select::is_sound(fit, verdict) {
+            let Explanation { fit, verdict, overrun_mm, has_claimed, .. } = &self.list[index];
+            if select::is_sound(fit, verdict, *overrun_mm) {
                 if !has_claimed {
                     self.claim(index);
                 }
@@ -245,35 +321,46 @@ impl Explanations {
 
     /// Claims the wire of those that would stand now and are worth all their wire, besides what is claimed for certain.
     pub(super) fn claim_whole(&mut self, parts: &[Prepared], params: &select::Params) {
-        self.begin_competition(parts, params);
-        let mut standing = 0;
-        while let Some((index, worth_mm)) = self.most_valuable(parts, params, standing) {
-            let Explanation { hypothesis, has_claimed, .. } = &self.list[index];
-            if *has_claimed || worth_mm >= parts[hypothesis.part].pose_model.length_mm {
-                self.claim(index);
-                self.settle(index, parts);
-                standing += 1;
-            }
+        self.compete(parts, params, |explanation, worth_mm| {
+            explanation.has_claimed || worth_mm >= parts[explanation.hypothesis.part].pose_model.length_mm
+        });
+        for k in 0..self.standing.1.len() {
+            self.settle(self.standing.1[k], parts);
         }
     }
 
-    /// Lets the explanations compete for the wire: the one that is worth most stands and claims its wire, then the next.
-    /// Gives those that stand to `stands`, until that says that it is enough.
-    pub(super) fn compete(
+    /// Those that stand, the most valuable first.
+    pub(super) fn standing(
         &mut self,
         parts: &[Prepared],
         params: &select::Params,
-        mut stands: impl FnMut(&Explanation, &Refine) -> bool,
+    ) -> impl Iterator<Item = &Explanation> {
+        if self.standing.0 != Some(self.count) {
+            self.compete(parts, params, |_, _| true);
+        }
+        self.standing.1.iter().map(|&index| &self.list[index])
+    }
+
+    /// Lets the explanations compete for the wire: the one that is worth most stands and claims its wire, then the next;
+    /// but for those that `may_stand` refuses, which is given what they are worth in mm.
+    fn compete(
+        &mut self,
+        parts: &[Prepared],
+        params: &select::Params,
+        may_stand: impl Fn(&Explanation, f64) -> bool,
     ) {
         self.begin_competition(parts, params);
-        let mut standing = 0;
-        while let Some((index, _)) = self.most_valuable(parts, params, standing) {
-            self.claim(index);
-            standing += 1;
-            if !stands(&self.list[index], &self.refine) {
-                return;
+        self.standing.1.clear();
+        let mut refused = false;
+        while let Some((index, worth_mm)) = self.most_valuable(parts, params, self.standing.1.len() as u32) {
+            if may_stand(&self.list[index], worth_mm) {
+                self.claim(index);
+                self.standing.1.push(index);
+            } else {
+                refused = true;
             }
         }
+        self.standing.0 = (!refused).then_some(self.count);
     }
 
     fn begin_competition(&mut self, parts: &[Prepared], params: &select::Params) {
@@ -380,24 +467,14 @@ mod tests {
             .into_iter()
             .map(|i| explanations.list[i].fit.left_from_part)
             .collect();
-        let mut found = Vec::new();
-        explanations.compete(&parts, &params.select, |e, _| {
-            found.push(e.fit.left_from_part);
-            true
-        });
+        explanations.standing.0 = None;
+        let found: Vec<_> =
+            explanations.standing(&parts, &params.select).map(|e| e.fit.left_from_part).collect();
         assert_eq!(found, expected);
+        // What is known already is not held again, and the same.
+        let again = explanations.standing(&parts, &params.select).map(|e| e.fit.left_from_part);
+        assert!(again.eq(expected));
         assert_eq!(found.len(), 10);
         assert!(explanations.count > 10, "others were refused");
-    }
-
-    #[test]
-    fn no_more_stand_than_are_asked_for() {
-        let Recognizer { mut explanations, parts, params, .. } = after_a_pair();
-        let mut count = 0;
-        explanations.compete(&parts, &params.select, |_, _| {
-            count += 1;
-            count < 3
-        });
-        assert_eq!(count, 3);
     }
 }

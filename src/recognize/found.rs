@@ -64,7 +64,7 @@ pub(super) fn found(
         sigma_axis_rad,
         blocked: None,
         iterations,
-        sound: select::is_sound(&e.fit, &e.verdict),
+        sound: select::is_sound(&e.fit, &e.verdict, e.verdict.overrun_mm),
         proven: select::is_proven(&prepared.pose_model, &e.fit, &e.verdict),
         clear: e.verdict.clear[0].min(e.verdict.clear[1]),
     }

@@ -285,21 +285,12 @@ impl Recognizer {
     fn compete(&mut self, pair: &FramePair, out: &mut Recognition) {
         let Self { explanations, parts, rig, pictures, params, .. } = self;
         let Some(views) = views(pictures, rig, pair, params) else { return };
-        explanations.compete(parts, &params.select, |explanation, refine| {
+        let shading = explanations.shading();
+        let standing = explanations.standing(parts, &params.select).take(PARTS_MAX);
+        out.parts.extend(standing.map(|explanation| {
             let prepared = &parts[explanation.hypothesis.part];
-            let iterations = out.iterations;
-            out.parts.push(found(
-                params,
-                rig,
-                pictures,
-                prepared,
-                explanation,
-                refine.shading(),
-                &views,
-                iterations,
-            ));
-            out.parts.len() < PARTS_MAX
-        });
+            found(params, rig, pictures, prepared, explanation, &shading, &views, out.iterations)
+        }));
     }
 
     /// Finds what is blocked and ranks.

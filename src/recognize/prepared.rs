@@ -58,26 +58,26 @@ impl Prepared {
         steepest > (slope_rad_max + 2.0 * self.raised_rad).min(FRAC_PI_2).sin()
     }
 
-    /// Whether an explanation of this part, whose index is `part`, lies near a pose: nearer than the first distance in mm, or the second
-    /// where nothing speaks against the explanation.
-    pub(super) fn is_among(
+    /// The first explanation of this part, whose index is `part`, that lies near a pose: nearer than the first distance in
+    /// mm, or the second where nothing speaks against the explanation.
+    pub(super) fn place_among(
         &self,
         explanations: &[Explanation],
         part: usize,
         pose: &Isometry3<f64>,
         near_mm: [f64; 2],
-    ) -> bool {
+    ) -> Option<usize> {
         let middle = pose * self.middle_mm;
         // The mean of distances is at least the distance of the means.
         let is_far = |e: &Explanation| {
             (e.fit.left_from_part * self.middle_mm - middle).norm() >= near_mm[0].max(near_mm[1])
         };
-        explanations.iter().any(|e| {
+        explanations.iter().position(|e| {
             e.hypothesis.part == part && !is_far(e) && {
                 let distance_mm = self.distance_mm(&e.fit.left_from_part, pose);
                 distance_mm < near_mm[0]
                     || distance_mm < near_mm[1]
-                        && select::is_sound(&e.fit, &e.verdict)
+                        && select::is_sound(&e.fit, &e.verdict, e.overrun_mm)
                         && self.beside_mm(&e.fit.left_from_part, pose) < self.pose_model.radius_mm
             }
         })

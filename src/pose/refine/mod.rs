@@ -40,6 +40,8 @@ const END_PATIENCE: f64 = 1.5;
 /// How far the outlines are looked for at first and later, and the residuals at which belief has halved, in pixels.
 const FINE_FIRST: (f64, [f64; 4]) = (2.5, [1.5, 3.5 / 3.0, 2.5 / 3.0, 0.5]);
 const FINE_NEXT: (f64, [f64; 4]) = (1.5, [0.7, 1.9 / 3.0, 1.7 / 3.0, 0.5]);
+/// A rough pose that moved by less than this, in radii of the wire, need not be moved again before it is refined.
+const COARSE_SETTLED_RADII: f64 = 0.3;
 /// A pose that moved the wire by less than this in the pictures need not be looked at again.
 const SETTLED_PX: f64 = 0.7;
 
@@ -162,7 +164,10 @@ impl Refine {
             let (search_px, scale_px) = if round == 0 { (7.0, 4.0) } else { (4.0, 2.0) };
             self.observe_masks(model, &pose, views, search_px);
             // Where touching wires leave the mask nothing to say, the grey values may.
-            let _ = self.solve(model, &mut pose, &[scale_px; 2]);
+            let step = self.solve(model, &mut pose, &[scale_px; 2]).map(|solution| solution.step);
+            if step.is_some_and(|step| reach_mm(model, &step) < COARSE_SETTLED_RADII * model.radius_mm) {
+                break;
+            }
         }
         if !self.shows_end() && self.missing(model, &pose, views) > self.params.missing_max {
             return None;
@@ -477,6 +482,11 @@ fn measure_ends(
             );
         }
     }
+}
+
+/// How far a small twist about the part's centre moves its ends, at most.
+fn reach_mm(model: &PoseModel, twist: &Vector6<f64>) -> f64 {
+    twist.fixed_rows::<3>(0).norm() + twist.fixed_rows::<3>(3).norm() * model.length_mm / 2.0
 }
 
 /// `pose`, displaced and turned about the part's centre by a small twist in the left camera's axes.

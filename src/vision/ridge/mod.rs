@@ -209,6 +209,8 @@ struct Line {
 
 /// From this many points on their line is better than the direction of the first.
 const LINE_POINTS_MIN: f64 = 8.0;
+/// From this many points on a single one hardly moves the line.
+const LINE_POINTS_MANY: f64 = 32.0;
 
 impl Line {
     fn new(origin: Vector2<f64>, along: Vector2<f64>) -> Self {
@@ -219,7 +221,7 @@ impl Line {
         self.count += 1.0;
         self.sum += at;
         self.squares += at * at.transpose();
-        if self.count < LINE_POINTS_MIN {
+        if self.count < LINE_POINTS_MIN || self.count > LINE_POINTS_MANY && self.count % 4.0 != 0.0 {
             return;
         }
         self.origin = self.sum / self.count;

@@ -224,44 +224,44 @@ impl Finder {
                 gyy[i] += g2[below] * (plain[i] + plain_below[i]);
             }
         }
-        let mut curvature = [0f32; GROUP];
+        let [mut curvature, mut dx, mut dy, mut along_x, mut along_y] = [[0f32; GROUP]; 5];
+        let mut passes = [0u8; GROUP];
         for i in 0..GROUP {
             let half = (gxx[i] - gyy[i]) / 2.0;
             curvature[i] = (gxx[i] + gyy[i]) / 2.0 - (half * half + gxy[i] * gxy[i]).sqrt();
+            let ridge = ridge_through(curvature[i], [gx[i], gy[i]], [gxx[i], gxy[i], gyy[i]]);
+            ([dx[i], dy[i], along_x[i], along_y[i]], passes[i]) = ridge;
+            passes[i] &= if -curvature[i] * task.scale >= self.strength_min { 0xff } else { 0 };
         }
-        let mut left = pixels;
+        let mut left = u128::from_le_bytes(passes);
         while left != 0 {
-            let i = left.trailing_zeros() as usize;
-            left &= left - 1;
-            if -curvature[i] * task.scale >= self.strength_min
-                && let Some([dx, dy, along_x, along_y]) =
-                    ridge_through(curvature[i], [gx[i], gy[i]], [gxx[i], gxy[i], gyy[i]])
-                && points.len() < points.capacity()
-            {
-                let at = [(x + i) as f32 + dx, y as f32 + dy];
-                points.push(Point { at, along: [along_x, along_y], taken: false });
+            let i = left.trailing_zeros() as usize / 8;
+            left &= !(0xff << (8 * i));
+            if pixels >> i & 1 == 1 && points.len() < points.capacity() {
+                let at = [(x + i) as f32 + dx[i], y as f32 + dy[i]];
+                points.push(Point { at, along: [along_x[i], along_y[i]], taken: false });
             }
         }
     }
 }
 
-/// Where the ridge is from a pixel's middle, and its direction, if it passes through the pixel: from the most negative
-/// curvature, the gradient and the second derivatives xx, xy, yy.
+/// Where the ridge is from a pixel's middle, and its direction, and all bits set if it passes through the pixel: from the
+/// most negative curvature, the gradient and the second derivatives xx, xy, yy. Without branches, so that it is done for
+/// many pixels at a time.
 #[inline(always)]
-fn ridge_through(curvature: f32, [gx, gy]: [f32; 2], [gxx, gxy, gyy]: [f32; 3]) -> Option<[f32; 4]> {
+fn ridge_through(curvature: f32, [gx, gy]: [f32; 2], [gxx, gxy, gyy]: [f32; 3]) -> ([f32; 4], u8) {
     // The eigenvector, from the row of the matrix that is longer.
     let (a, b) = ((gxy, curvature - gxx), (curvature - gyy, gxy));
     let square = |(x, y): (f32, f32)| x * x + y * y;
-    let (nx, ny) = if square(a) > square(b) { a } else { b };
+    let longer = square(a) > square(b);
+    let (nx, ny) = (if longer { a.0 } else { b.0 }, if longer { a.1 } else { b.1 });
     let norm = square((nx, ny)).sqrt();
-    if norm < 1e-6 {
-        return None;
-    }
     let (nx, ny) = (nx / norm, ny / norm);
     let t = -(gx * nx + gy * ny) / curvature;
     // A little over half a pixel, so that no ridge slips between two; but kept to the pixel.
-    let passes = (t * nx).abs() <= 0.6 && (t * ny).abs() <= 0.6;
-    passes.then(|| [(t * nx).clamp(-0.49, 0.49), (t * ny).clamp(-0.49, 0.49), -ny, nx])
+    let passes = (norm >= 1e-6) & ((t * nx).abs() <= 0.6) & ((t * ny).abs() <= 0.6);
+    let kept = |off: f32| off.max(-0.49).min(0.49);
+    ([kept(t * nx), kept(t * ny), -ny, nx], if passes { 0xff } else { 0 })
 }
 
 #[cfg(test)]
