@@ -1,6 +1,7 @@
 //! The own protocol's machine alone, packet by packet; conversations are in tests/arm.
 
 use super::*;
+use crate::codec;
 use crate::codec::tests::sealed;
 use crate::gate::tests::settings;
 use proptest::prelude::*;
