@@ -45,6 +45,8 @@ pub struct FreeEnd {
 pub struct PoseModel {
     /// Points along the centreline.
     pub stations: Vec<Station>,
+    /// The ends of its straight pieces of wire, in its frame.
+    pub straight_mm: Vec<[Point3<f64>; 2]>,
     /// Nodes with one edge.
     pub ends: Vec<FreeEnd>,
     /// Radius of the wire.
@@ -94,6 +96,7 @@ impl PoseModel {
         Self {
             ends: free_ends(part, step_mm),
             straight_along: part.is_straight().then(|| stations[0].tangent),
+            straight_mm: straight_pieces(&stations),
             stations,
             radius_mm,
             length_mm,
@@ -111,6 +114,16 @@ fn find_stretches(stations: &mut [Station]) {
             (station.stretch, station.share) = (stretch, (k as f64 + 0.5) / count - 0.5);
         }
     }
+}
+
+/// Those that are longer than the pieces of a bend.
+fn straight_pieces(stations: &[Station]) -> Vec<[Point3<f64>; 2]> {
+    let ends = |stations: &[Station]| {
+        let [first, .., last] = stations else { return None };
+        let half = |s: &Station| s.tangent * (s.length_mm / 2.0);
+        Some([first.position_mm - half(first), last.position_mm + half(last)])
+    };
+    stations.chunk_by(|a, b| a.stretch == b.stretch).filter_map(ends).collect()
 }
 
 fn free_ends(part: &Part, step_mm: f64) -> Vec<FreeEnd> {

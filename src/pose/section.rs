@@ -13,6 +13,8 @@ use crate::vision::bits::{BitImage, nearest};
 const SAMPLES_MAX: usize = 96;
 /// Steps from one outline to the other in which the light between them is added up.
 const SKEW_STEPS: usize = 12;
+/// How far beside a crossing the light of a wire is looked at, in pixels.
+const DIP_BESIDE_PX: usize = 5;
 /// How far behind an end it must be floor, in pixels.
 const BEHIND_END_PX: f64 = 4.0;
 /// How bright it may be behind an end, from floor (0) to wire (1).
@@ -135,6 +137,27 @@ impl<'a> Profiler<'a> {
             moment += above * share;
         }
         (sum > 0.0).then(|| moment / sum * width / (2.0 * half_width_px))
+    }
+
+    /// By how many grey levels the light along a wire, the unit vector `along`, falls within `near_px` of a place, below
+    /// what it is on the brighter side beside that. `None` where that leaves the picture.
+    pub fn dip(&self, place: Vector2<f64>, along: Vector2<f64>, near_px: f64) -> Option<f64> {
+        const SAMPLES_PER_PX: f64 = 2.0;
+        let near = (near_px * SAMPLES_PER_PX) as usize;
+        let count = (2 * (near + DIP_BESIDE_PX * SAMPLES_PER_PX as usize) + 1).min(SAMPLES_MAX);
+        let step = along / SAMPLES_PER_PX;
+        let from = place - step * (count / 2) as f64;
+        if !self.inside(from) || !self.inside(from + step * (count - 1) as f64) {
+            return None;
+        }
+        let mut light = [0f32; SAMPLES_MAX];
+        let light = &mut light[..count];
+        self.luma.add_line(from.into(), step.into(), light);
+        let light_at = |range: Range<usize>| light[range].iter().map(|l| self.sign * f64::from(*l));
+        let before = (count / 2).checked_sub(near).filter(|before| *before > 0)?;
+        let mean = |range: Range<usize>| light_at(range).sum::<f64>() / before as f64;
+        let level = mean(0..before).max(mean(count - before..count));
+        Some(level - light_at(before..count - before).fold(f64::INFINITY, f64::min))
     }
 
     /// How far beyond `end` (in pixels, negative: before) the wire ends, along the unit vector `outward`, where
@@ -354,6 +377,25 @@ mod tests {
         let profiler = Profiler::new(LumaView::new(frame).unwrap(), true, 12.0);
         let at = Vector2::new(19.5, 20.0);
         profiler.across(at, Vector2::new(1.0, 0.0), 3.0, 1.5).unwrap().middle_and_width().unwrap().0
+    }
+
+    #[test]
+    fn a_wire_that_another_lies_over_is_interrupted_and_the_upper_one_is_not() {
+        // The upper one lies level around y = 30, with dark flanks; the lower one upright around x = 30.
+        let pixels = (0..60).flat_map(|y: i32| {
+            (0..60).map(move |x: i32| match ((x - 30).abs(), (y - 30).abs()) {
+                (_, 0..=1) => 200u8,
+                (_, 2..=3) => 90,
+                (0..=2, _) => 190,
+                _ => 30,
+            })
+        });
+        let frame = Frame::from_rgb(60, 60, pixels.flat_map(|v| [v; 3]).collect());
+        let profiler = Profiler::new(LumaView::new(&frame).unwrap(), false, 12.0);
+        let dip = |along| profiler.dip(Vector2::new(30.0, 30.0), along, 4.0).unwrap();
+        assert!(dip(Vector2::x()) < 5.0, "{}", dip(Vector2::x()));
+        assert!(dip(Vector2::y()) > 80.0, "{}", dip(Vector2::y()));
+        assert_eq!(profiler.dip(Vector2::new(2.0, 30.0), Vector2::x(), 4.0), None);
     }
 
     #[test]

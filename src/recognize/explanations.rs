@@ -13,6 +13,8 @@ use crate::matching::nodes::{ImageNode, NodeRole};
 use crate::matching::problem::StereoNode;
 use crate::matching::select::{self, ClaimMap, Worth};
 use crate::part::NODES_MAX;
+use crate::pose::contact::{self, Placed};
+use crate::pose::over;
 use crate::pose::refine::{self, Fit, Refine, View};
 use crate::pose::shading::Shading;
 use crate::pose::verify::{Verdict, verify};
@@ -329,15 +331,20 @@ impl Explanations {
         }
     }
 
+    /// Holds the competition, if nobody has since the last explanation came.
+    pub(super) fn decide(&mut self, parts: &[Prepared], params: &select::Params) {
+        if self.standing.0 != Some(self.count) {
+            self.compete(parts, params, |_, _| true);
+        }
+    }
+
     /// Those that stand, the most valuable first.
     pub(super) fn standing(
         &mut self,
         parts: &[Prepared],
         params: &select::Params,
     ) -> impl Iterator<Item = &Explanation> {
-        if self.standing.0 != Some(self.count) {
-            self.compete(parts, params, |_, _| true);
-        }
+        self.decide(parts, params);
         self.standing.1.iter().map(|&index| &self.list[index])
     }
 
@@ -361,6 +368,22 @@ impl Explanations {
             }
         }
         self.standing.0 = (!refused).then_some(self.count);
+    }
+
+    /// Moves those that stand out of each other, where they cross.
+    pub(super) fn press_apart(&mut self, parts: &[Prepared], down: &Vector3<f64>, views: &[View; 2]) {
+        let standing = &self.standing.1;
+        for (k, &one) in standing.iter().enumerate() {
+            for &other in &standing[..k] {
+                let Ok([a, b]) = self.list.get_disjoint_mut([one, other]) else { continue };
+                let [mut a, mut b] = [a, b].map(|e| Placed {
+                    model: &parts[e.hypothesis.part].pose_model,
+                    left_from_part: &mut e.fit.left_from_part,
+                    covariance: &mut e.covariance,
+                });
+                contact::press_apart(&mut a, &mut b, down, |a, b| over::is_over(a, b, views));
+            }
+        }
     }
 
     fn begin_competition(&mut self, parts: &[Prepared], params: &select::Params) {

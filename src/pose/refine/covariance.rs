@@ -151,6 +151,7 @@ mod tests {
             radius_mm: 1.5,
             length_mm: 60.0,
             centre_mm: Point3::origin(),
+            straight_mm: Vec::new(),
             straight_along: Some(Vector3::x()),
         };
         let observation = |gradient, weight: f64, origin| Observation {

@@ -490,7 +490,7 @@ fn reach_mm(model: &PoseModel, twist: &Vector6<f64>) -> f64 {
 }
 
 /// `pose`, displaced and turned about the part's centre by a small twist in the left camera's axes.
-fn moved(pose: &Isometry3<f64>, centre_mm: &Point3<f64>, twist: &Vector6<f64>) -> Isometry3<f64> {
+pub(super) fn moved(pose: &Isometry3<f64>, centre_mm: &Point3<f64>, twist: &Vector6<f64>) -> Isometry3<f64> {
     let centre = (pose * centre_mm).coords;
     let shift: Vector3<f64> = twist.fixed_rows::<3>(0).into();
     let turn = Rotation3::new(Vector3::from(twist.fixed_rows::<3>(3)));

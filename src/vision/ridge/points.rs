@@ -260,7 +260,8 @@ fn ridge_through(curvature: f32, [gx, gy]: [f32; 2], [gxx, gxy, gyy]: [f32; 3]) 
     let t = -(gx * nx + gy * ny) / curvature;
     // A little over half a pixel, so that no ridge slips between two; but kept to the pixel.
     let passes = (norm >= 1e-6) & ((t * nx).abs() <= 0.6) & ((t * ny).abs() <= 0.6);
-    let kept = |off: f32| off.max(-0.49).min(0.49);
+    // A NaN, which passes nowhere, stays one.
+    let kept = |off: f32| off.clamp(-0.49, 0.49);
     ([kept(t * nx), kept(t * ny), -ny, nx], if passes { 0xff } else { 0 })
 }
 
