@@ -209,6 +209,7 @@ impl Core {
             Event::Persisted(record) => self.place.persisted(record),
             Event::NotPersisted => self.place.not_persisted(now, actions),
             Event::Operator(operator) => self.operator(operator, now, actions),
+            Event::Suspended { for_ns } => self.suspended(for_ns, now, actions),
             Event::Stop => self.stop(now, actions),
             Event::Tick => {}
         }
@@ -291,6 +292,23 @@ impl Core {
         if let Some(handle) = self.pairing.forget(side) {
             actions.push(Action::Free(handle));
         }
+    }
+
+    /// The machine was suspended. Frames of before are old on the cell's clock, and so is what rests on them; here is what
+    /// would wait for them, and the arm.
+    fn suspended(&mut self, for_ns: i64, now: Timestamp, actions: &mut Actions) {
+        let seconds = for_ns.max(0).unsigned_abs().div_ceil(1_000_000_000);
+        actions.say(Note::Alarm(Alarm::Suspended { seconds }));
+        for side in Side::BOTH {
+            // Neither silence nor a gap: nobody took pictures.
+            let camera = &mut self.cameras[side.index()];
+            (camera.last_arrival, camera.last_frame) = (Some(now), None);
+            if let Some(handle) = self.pairing.forget(side) {
+                self.counts.add(Cause::Unpaired, 1);
+                actions.push(Action::Free(handle));
+            }
+        }
+        self.arm_was_suspended(now, actions);
     }
 
     fn camera_is_back(&mut self, side: Side, actions: &mut Actions) {
