@@ -8,6 +8,7 @@
 //! A recording is read through once when it is opened: its records are checked, its pictures are found, not kept. One
 //! that breaks off (a power cut, a kill) is read up to there, and says so.
 
+pub mod copy;
 pub mod events;
 mod folder;
 pub mod foxglove;
@@ -24,7 +25,7 @@ use std::time::Duration;
 pub use folder::FolderError;
 pub use picture::{PictureError, read_picture, read_raw_picture};
 pub use records::{Damage, MessageAt, MessageError, RecordingError, RecordingFile};
-pub use writer::{About, RecordingWriter, WriteError};
+pub use writer::{About, PAIR_WINDOW, RecordingWriter, WriteError};
 
 use crate::frame::{ColourEncoding, Frame};
 use events::PairRecord;

@@ -11,7 +11,7 @@ use prost::Message;
 use super::events::{CommandRecord, PairRecord, ReportRecord, Topic};
 use super::foxglove::{self, CompressedImage, ImageKind, RawImage};
 use super::records::{MessageAt, MessageError, RecordAt, RecordingError, RecordingFile};
-use super::writer::METADATA;
+use super::writer::{METADATA, PAIR_WINDOW};
 use super::{RecordedPair, RecordedPicture, Results, Session};
 use crate::camera::Side;
 use crate::frame::ColourEncoding;
@@ -28,9 +28,9 @@ const PAUSE_NS_MAX: i64 = 10_000_000_000;
 
 /// A picture and when its light was seen, ns since 1970.
 #[derive(Clone, Copy, Debug)]
-struct Seen {
+pub(super) struct Seen {
     wall_ns: i64,
-    at: MessageAt,
+    pub(super) at: MessageAt,
     channel: u16,
 }
 
@@ -61,25 +61,47 @@ struct Index {
     results: Results,
     /// The rate of the cell that was recorded, where the file says it.
     rate_hz: Option<f64>,
+    /// How far apart the pictures of a pair may be, where the file says it, ns.
+    window_ns: Option<i64>,
+    /// Stamps of the left pictures of pairs that were recorded without a search.
+    unsearched: Vec<i64>,
 }
 
-/// Reads through a recording.
-pub(super) fn open(path: &Path) -> Result<Session, RecordingError> {
-    let file = Arc::new(RecordingFile::open(path)?);
+/// Pictures of one moment, and when the first of them was seen, ns since 1970.
+pub(super) type Moment = (i64, [Option<Seen>; 2]);
+
+/// When its pictures were seen, in order of time.
+pub(super) fn moments(file: &RecordingFile) -> Result<Vec<Moment>, RecordingError> {
+    Ok(index(file)?.1)
+}
+
+/// What is in a file, its pictures in pairs, the rate of their stamps, and where it breaks off.
+fn index(file: &RecordingFile) -> Result<(Index, Vec<Moment>, f64, Option<u64>), RecordingError> {
     let mut index = Index::default();
-    let broken_at = file.walk(|record| index.record(&file, record))?;
+    let broken_at = file.walk(|record| index.record(file, record))?;
     index.check_names();
     let [left, right] = &mut index.pictures;
     if left.is_empty() || right.is_empty() {
-        return Err(RecordingError::NoPictures { path: path.to_owned(), topics: index.all_topics() });
+        return Err(RecordingError::NoPictures { path: file.path().to_owned(), topics: index.all_topics() });
     }
     for side in [&mut *left, &mut *right] {
         side.sort_by_key(|seen| seen.wall_ns);
     }
     let period_ns = middle_period_ns(left);
     let seen_hz = period_ns.map_or(RATE_HZ, |ns| (1e9 / ns as f64).clamp(RATE_HZ_MIN, RATE_HZ_MAX));
+    let pairs = pair_up(left, right, index.window_ns.unwrap_or(period_ns.unwrap_or(i64::MAX) / 2));
+    // The pictures of a pair for which the recogniser had no time stand alone in the file.
+    let there: HashSet<i64> = left.iter().map(|seen| seen.wall_ns).collect();
+    let kept = index.unsearched.iter().filter(|stamp_ns| there.contains(stamp_ns)).count();
+    index.results.without_pictures = index.results.without_pictures.saturating_sub(kept as u64);
+    Ok((index, pairs, seen_hz, broken_at))
+}
+
+/// Reads through a recording.
+pub(super) fn open(path: &Path) -> Result<Session, RecordingError> {
+    let file = Arc::new(RecordingFile::open(path)?);
+    let (index, pairs, seen_hz, broken_at) = index(&file)?;
     let rate_hz = index.rate_hz.unwrap_or(seen_hz);
-    let pairs = pair_up(left, right, period_ns.unwrap_or(i64::MAX) / 2);
     let mut after = 0;
     let mut previous_ns = pairs.first().map_or(0, |(wall_ns, _)| *wall_ns);
     let mut after_ns = |wall_ns: i64| {
@@ -97,7 +119,7 @@ pub(super) fn open(path: &Path) -> Result<Session, RecordingError> {
             encoding: channel.encoding,
         }
     };
-    let mut pair = |(i, (wall_ns, pictures)): (usize, (i64, [Option<Seen>; 2]))| RecordedPair {
+    let mut pair = |(i, (wall_ns, pictures)): (usize, Moment)| RecordedPair {
         name: pictures[0]
             .and_then(|left| index.names.get(&left.wall_ns).cloned())
             .unwrap_or_else(|| format!("{:06}", i + 1)),
@@ -136,6 +158,9 @@ impl Index {
             Record::Metadata(about) if about.name == METADATA => {
                 let rate_hz = about.metadata.get("rate_hz").and_then(|text| text.parse().ok());
                 self.rate_hz = rate_hz.filter(|hz: &f64| (RATE_HZ_MIN..=RATE_HZ_MAX).contains(hz));
+                let window_ms = about.metadata.get(PAIR_WINDOW).and_then(|text| text.parse().ok());
+                let window_ms = window_ms.filter(|ms: &f64| (0.0..=1e6).contains(ms));
+                self.window_ns = window_ms.map(|ms| (ms * 1e6) as i64);
             }
             Record::Message { header, data } => {
                 let Some(channel) = self.channels.get(&header.channel_id) else { return Ok(()) };
@@ -161,6 +186,9 @@ impl Index {
                     Some(Topic::Pair) => {
                         let pair: PairRecord = serde_json::from_slice(&data).map_err(|e| bad(e.into()))?;
                         self.results.add(&pair);
+                        if !pair.pictures {
+                            self.unsearched.push(pair.stamps_ns[0]);
+                        }
                         self.names.insert(pair.stamps_ns[0], pair.name);
                     }
                     Some(Topic::Command) => {
@@ -232,7 +260,7 @@ fn middle_period_ns(pictures: &[Seen]) -> Option<i64> {
 }
 
 /// Pictures of both sides that are at most `window_ns` apart, and those that are alone, in order of time.
-fn pair_up(left: &[Seen], right: &[Seen], window_ns: i64) -> Vec<(i64, [Option<Seen>; 2])> {
+fn pair_up(left: &[Seen], right: &[Seen], window_ns: i64) -> Vec<Moment> {
     let mut pairs = Vec::with_capacity(left.len());
     let (mut lefts, mut rights) = (left.iter().copied().peekable(), right.iter().copied().peekable());
     loop {

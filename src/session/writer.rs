@@ -29,6 +29,9 @@ pub(super) const CHUNK_BYTES: u64 = 256 << 10;
 /// Name of the metadata record.
 pub(super) const METADATA: &str = "pickcell";
 
+/// Its entry for how far apart the frames of a pair may be in the cell that was recorded, ms.
+pub const PAIR_WINDOW: &str = "pair_window_ms";
+
 /// A recording that cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub enum WriteError {
