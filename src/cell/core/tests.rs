@@ -9,6 +9,7 @@ use firmware_bridge::config::Settings;
 use firmware_bridge::message::{HeldBy, Pick, Pose, Report};
 
 use super::*;
+use crate::camera::Condition;
 
 pub(super) const MS: i64 = 1_000_000;
 

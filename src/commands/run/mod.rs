@@ -2,6 +2,7 @@
 
 mod args;
 mod cold;
+mod entries;
 mod error;
 mod paint;
 pub(super) mod place;
