@@ -91,6 +91,11 @@ pub fn wall_from_cell_ns() -> i64 {
     read_ns(rustix::time::ClockId::Realtime) - Timestamp::now().0
 }
 
+/// Wall time, ms since 1970; 0 before.
+pub fn wall_ms() -> u64 {
+    u64::try_from(read_ns(rustix::time::ClockId::Realtime) / 1_000_000).unwrap_or(0)
+}
+
 /// A wall time as the name of a file: `2026-03-01T12-30-05.250Z`, proleptic Gregorian, UTC.
 pub fn utc_name(wall_ns: i64) -> String {
     let ms = wall_ns.div_euclid(1_000_000);

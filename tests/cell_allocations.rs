@@ -77,6 +77,7 @@ fn nothing_is_allocated_between_two_pairs() {
         silence_ns: 1_000_000_000,
         iterations: Some(5000),
         seed: 1,
+        repeated: Vec::new(),
         has_arm: true,
         first_id: 1,
         place: None,

@@ -12,9 +12,9 @@ use super::events::{CommandRecord, PairRecord, ReportRecord, Topic};
 use super::foxglove::{self, CompressedImage, ImageKind, RawImage};
 use super::records::{MessageAt, MessageError, RecordAt, RecordingError, RecordingFile};
 use super::writer::{METADATA, PAIR_WINDOW};
-use super::{RecordedPair, RecordedPicture, Results, Session};
+use super::{Fate, RecordedPair, RecordedPicture, RecordedSearch, Results, Session};
 use crate::camera::Side;
-use crate::frame::ColourEncoding;
+use crate::frame::{ColourEncoding, TimestampMark};
 
 /// Pairs a second, where a recording has one pair only.
 const RATE_HZ: f64 = 30.0;
@@ -56,6 +56,8 @@ struct Index {
     pictures: [Vec<Seen>; 2],
     /// Names of pairs by the time stamps of their left pictures.
     names: HashMap<i64, String>,
+    /// What is known of them, by the same.
+    known: HashMap<i64, ([TimestampMark; 2], Fate)>,
     /// What cell and arm said to each other.
     arm: Vec<Said>,
     results: Results,
@@ -104,6 +106,7 @@ pub(super) fn open(path: &Path) -> Result<Session, RecordingError> {
     let rate_hz = index.rate_hz.unwrap_or(seen_hz);
     let mut after = 0;
     let mut previous_ns = pairs.first().map_or(0, |(wall_ns, _)| *wall_ns);
+    let first_ns = previous_ns;
     let mut after_ns = |wall_ns: i64| {
         after += wall_ns.saturating_sub(previous_ns).clamp(0, PAUSE_NS_MAX);
         previous_ns = wall_ns;
@@ -119,15 +122,28 @@ pub(super) fn open(path: &Path) -> Result<Session, RecordingError> {
             encoding: channel.encoding,
         }
     };
+    let known = |pictures: &[Option<Seen>; 2]| pictures[0].and_then(|left| index.known.get(&left.wall_ns));
+    let arm_lead_ns =
+        index.arm.first().map(|said| first_ns.saturating_sub(said.at_ns).clamp(0, PAUSE_NS_MAX));
     let mut pair = |(i, (wall_ns, pictures)): (usize, Moment)| RecordedPair {
         name: pictures[0]
             .and_then(|left| index.names.get(&left.wall_ns).cloned())
             .unwrap_or_else(|| format!("{:06}", i + 1)),
         after_ns: after_ns(wall_ns),
         pictures: pictures.map(|seen| seen.map(picture)),
+        marks: known(&pictures).map_or_else(Default::default, |known| known.0),
+        fate: known(&pictures).map(|known| known.1),
     };
     let pairs = pairs.into_iter().enumerate().map(&mut pair).collect();
-    Ok(Session { path: path.to_owned(), rate_hz, pairs, arm: index.arm, results: index.results, broken_at })
+    Ok(Session {
+        path: path.to_owned(),
+        rate_hz,
+        pairs,
+        arm: index.arm,
+        arm_lead_ns,
+        results: index.results,
+        broken_at,
+    })
 }
 
 impl Index {
@@ -189,6 +205,7 @@ impl Index {
                         if !pair.pictures {
                             self.unsearched.push(pair.stamps_ns[0]);
                         }
+                        self.known.insert(pair.stamps_ns[0], (pair.marks, fate(&pair, at_ns)));
                         self.names.insert(pair.stamps_ns[0], pair.name);
                     }
                     Some(Topic::Command) => {
@@ -229,6 +246,19 @@ impl Index {
         topics.dedup();
         if topics.is_empty() { "none".into() } else { topics.join("; ") }
     }
+}
+
+/// What the cell did with a pair that it was finished with at `at_ns`.
+fn fate(pair: &PairRecord, at_ns: i64) -> Fate {
+    let search = pair.seed.zip(pair.iterations).map(|(seed, iterations)| {
+        let out_of_time = pair.out_of_time;
+        RecordedSearch { seed, iterations, out_of_time }
+    });
+    if search.is_none() && pair.error.is_none() {
+        return Fate::LeftOut;
+    }
+    let [left, right] = pair.stamps_ns;
+    Fate::Searched { search, after_ns: at_ns.saturating_sub(left.min(right)).clamp(0, PAUSE_NS_MAX) }
 }
 
 /// The camera that a topic belongs to.

@@ -94,6 +94,8 @@ pub struct Params {
     pub iterations: Option<u64>,
     /// Seed of all searches.
     pub seed: u64,
+    /// Budgets and seeds of single searches, by the number of their left frame: a recorded session is searched as it was.
+    pub repeated: Vec<Option<Repeated>>,
     /// There is an arm.
     pub has_arm: bool,
     /// Number of the first target, above every number ever given away.
@@ -106,6 +108,15 @@ pub struct Params {
     pub defer_ns: i64,
     /// Two grasps of one part model closer than this are the same part, mm.
     pub same_part_mm: f64,
+}
+
+/// A search that is made once more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Repeated {
+    /// Its budget.
+    pub iterations: u64,
+    /// Its seed.
+    pub seed: u64,
 }
 
 /// A grid of slots, row by row.
@@ -271,12 +282,11 @@ impl Core {
     fn search(&mut self, pair: Pair, actions: &mut Actions) {
         self.searching = Some(pair);
         let until = pair.earliest().0.saturating_add(self.params.deadline_ns - self.params.wire_ns);
-        let budget = self.params.iterations.map_or(Budget::Until(Timestamp(until)), Budget::Iterations);
-        actions.push(Action::Recognise(Job {
-            pair,
-            budget,
-            seed: self.params.seed.wrapping_add(pair.number),
-        }));
+        let repeated = self.params.repeated.get(pair.left.sequence as usize).copied().flatten();
+        let iterations = repeated.map(|search| search.iterations).or(self.params.iterations);
+        let budget = iterations.map_or(Budget::Until(Timestamp(until)), Budget::Iterations);
+        let seed = repeated.map_or(self.params.seed.wrapping_add(pair.number), |search| search.seed);
+        actions.push(Action::Recognise(Job { pair, budget, seed }));
     }
 
     fn recognised(&mut self, number: u64, found: &Found, now: Timestamp, actions: &mut Actions) {

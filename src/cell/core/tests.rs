@@ -40,6 +40,7 @@ pub(super) fn params() -> Params {
         silence_ns: 800 * MS,
         iterations: None,
         seed: 7,
+        repeated: Vec::new(),
         has_arm: true,
         first_id: 100,
         place: None,

@@ -45,6 +45,7 @@ pub(super) fn record_of(report: &PairReport) -> PairRecord {
     PairRecord {
         stamps_ns: [pair.left.timestamp.0, pair.right.timestamp.0],
         sequences: [pair.left.sequence, pair.right.sequence],
+        marks: [pair.left.mark, pair.right.mark],
         target: report.outcome.ok().map(|sent| sent.id),
         candidate: report.outcome.ok().map(|sent| sent.candidate),
         no_target: report.outcome.err().map(|why| why.to_string()),
@@ -64,6 +65,7 @@ pub(super) fn add_recognition(record: &mut PairRecord, file: &File, names: &[Str
     let found = &file.recognition;
     record.seed = Some(found.seed);
     record.iterations = Some(found.iterations);
+    record.out_of_time = found.out_of_time;
     record.parts = Some(found.parts.len());
     let free = found.parts.iter().filter(|part| part.blocked.is_none());
     record.candidates.extend(free.map(|part| {
