@@ -323,6 +323,21 @@ fn the_cell_that_comes_with_the_project_is_right() {
     }
 }
 
+#[test]
+fn numbers_are_asked_for_in_words_and_long_ones_are_cut() {
+    let source = source::Source { file: "cell.toml".into(), text: "seed = -1".into() };
+    let error = source.parse::<Seed>().unwrap_err().to_string();
+    assert!(error.ends_with("invalid value: integer `-1`, expected a whole number, 0 or more"), "{error}");
+    let long = source.refuse("seed", 1e308, "a small one").to_string();
+    assert!(long.len() < 300 && long.contains("000… is not possible; allowed: a small one"), "{long}");
+}
+
+#[derive(Debug, serde::Deserialize)]
+struct Seed {
+    #[expect(dead_code, reason = "only read")]
+    seed: u64,
+}
+
 proptest::proptest! {
     #![proptest_config(proptest::prelude::ProptestConfig::with_cases(128))]
 

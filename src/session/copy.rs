@@ -46,7 +46,7 @@ pub enum CopyError {
         path: PathBuf,
     },
     /// From after to.
-    #[error("--from {from_s} is after --to {to_s}; give the earlier one as --from")]
+    #[error("--from {from_s:?} is after --to {to_s:?}; give the earlier one as --from")]
     Backwards {
         /// As asked, s.
         from_s: f64,
@@ -54,7 +54,9 @@ pub enum CopyError {
         to_s: f64,
     },
     /// No picture in the piece.
-    #[error("{}: no pictures from {from_s} s to {to_s} s; there are pictures from 0 s to {last_s:.3} s", path.display())]
+    #[error(
+        "{}: no pictures {}; there are pictures from 0 s to {last_s:.3} s", path.display(), piece_in_words(*from_s, *to_s)
+    )]
     Nothing {
         /// The old file.
         path: PathBuf,
@@ -96,6 +98,14 @@ pub enum CopyError {
     /// As the system says it, before it is known of which file.
     #[error(transparent)]
     Io(#[from] io::Error),
+}
+
+/// A number that has hundreds of digits is told by its exponent.
+fn piece_in_words(from_s: f64, to_s: f64) -> String {
+    match to_s.is_finite() {
+        true => format!("from {from_s:?} s to {to_s:?} s"),
+        false => format!("from {from_s:?} s on"),
+    }
 }
 
 impl CopyError {
@@ -442,11 +452,11 @@ mod tests {
         let message = |from: &Path, seconds, to: &Path| cut(from, seconds, to).unwrap_err().to_string();
         assert_eq!(
             message(&old, (3.0, 2.0), &new),
-            "--from 3 is after --to 2; give the earlier one as --from"
+            "--from 3.0 is after --to 2.0; give the earlier one as --from"
         );
         assert!(
             message(&old, (5.0, 6.0), &new)
-                .ends_with("no pictures from 5 s to 6 s; there are pictures from 0 s to 0.900 s")
+                .ends_with("no pictures from 5.0 s to 6.0 s; there are pictures from 0 s to 0.900 s")
         );
         assert!(
             message(folder.path(), (0.0, 1.0), &new)

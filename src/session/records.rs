@@ -49,7 +49,8 @@ pub enum RecordingError {
         path: PathBuf,
     },
     /// Not what was written.
-    #[error("{}: damaged at byte {at_byte}: {reason}; fetch the file again from where it was recorded", path.display())]
+    #[error("{}: damaged at byte {at_byte}: {reason}; fetch the file again from where it was recorded, or copy what can be read of it with \
+         `pickcell session recover`", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,

@@ -12,6 +12,7 @@ use crate::session::copy::{self, Copied, CopyError};
 
 /// Look at recorded sessions, cut pieces out of them, recover damaged ones
 #[derive(Args, Debug)]
+#[command(after_help = "Example: pickcell session info replay/conveyor")]
 pub struct SessionArgs {
     #[command(subcommand)]
     command: SessionCommand,
@@ -32,8 +33,8 @@ Exit code: 0 done, 2 no session, or one that is damaged.")]
     #[command(after_help = "\
 Example: pickcell session cut recordings/2026-03-01T12-30-05.250Z.mcap --from 12.5 --to 20 --out jam.mcap
 
-Exit code: 0 done, 1 the new file cannot be written, 2 wrong usage, or no such recording. The new file is there whole or not
-at all, and replaces none.")]
+Exit code: 0 done, 1 the new file cannot be written, 2 wrong usage, or no such recording.
+The new file is there whole or not at all, and replaces none.")]
     Cut(CutArgs),
     /// Copy all that can be read of a damaged recording into a new file
     ///
@@ -42,8 +43,8 @@ at all, and replaces none.")]
     #[command(after_help = "\
 Example: pickcell session recover recordings/2026-03-01T12-30-05.250Z.mcap --out whole.mcap
 
-Exit code: 0 done, 1 the new file cannot be written, 2 wrong usage, or nothing to recover. The new file is there whole or not
-at all, and replaces none.")]
+Exit code: 0 done, 1 the new file cannot be written, 2 wrong usage, or nothing to recover.
+The new file is there whole or not at all, and replaces none.")]
     Recover(RecoverArgs),
 }
 
