@@ -274,11 +274,11 @@ fn wrong_kinds_and_broken_toml_name_their_line() {
     let bench = Bench::new();
     assert_eq!(
         bench.message("width = 640", "width = \"wide\""),
-        "cell.toml, line 9: cameras.left.width: invalid type: string \"wide\", expected u32"
+        "cell.toml, line 9: cameras.left.width: invalid type: string \"wide\", expected a whole number from 0 to 4294967295"
     );
     assert_eq!(
         bench.message("hmcr = 0.7", "seed = -1"),
-        "cell.toml, line 29: recognition.seed: invalid value: integer `-1`, expected u64"
+        "cell.toml, line 29: recognition.seed: invalid value: integer `-1`, expected a whole number, 0 or more"
     );
     let message = bench.message("backend = \"v4l2\"", "backend = \"usb\"");
     assert_eq!(

@@ -6,7 +6,7 @@
 //!
 //! # The arm
 //! ```text
-//!                 ┌────────────────────── Disconnected, WrongVersion, ReportsLost (from any state)
+//!                 ┌────────────────────── Disconnected, WrongVersion, ReportsLost, a suspend (any state)
 //!                 ▼
 //!            ┌─────────┐ Connected  ┌─────────┐  Unlock,        ┌──────────┐
 //!            │ Absent  │───────────▶│  Held   │◀────────────────│ Alarmed  │◀── Alarm (from any state)
