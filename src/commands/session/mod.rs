@@ -29,7 +29,7 @@ Exit code: 0 done, 2 no session, or one that is damaged.")]
     /// Copy a piece of a recording into a new file
     ///
     /// Pairs are copied whole, with what was found in them and what cell and arm said meanwhile; cell.toml, calibration
-    /// and part files come along.
+    /// and part files come along. Replayed, its arm begins ready, also where a target was under way.
     #[command(after_help = "\
 Example: pickcell session cut recordings/2026-03-01T12-30-05.250Z.mcap --from 12.5 --to 20 --out jam.mcap
 
