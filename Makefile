@@ -15,7 +15,7 @@ CAMPAIGN_RUNS ?= 10000
 VM_ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help needs build run test bench accuracy soak campaign vm install fmt lint doc licences
+.PHONY: help needs build run test bench accuracy soak campaign vm install uninstall fmt lint doc licences
 
 help: ## say what there is
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -52,6 +52,9 @@ vm: needs ## the cell in a virtual machine with V4L2 cameras (needs ../shared/v4
 
 install: ## install programs, services, rules and a first cell.toml (as root; PREFIX=, DESTDIR=; after make build)
 	deploy/install.sh
+
+uninstall: ## take away what install has put there; cell and records stay (as root; the same PREFIX=, DESTDIR=)
+	deploy/uninstall.sh
 
 fmt: ## format the sources
 	$(CARGO) fmt --all

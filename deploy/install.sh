@@ -7,12 +7,13 @@ set -eu
 cd "$(dirname "$0")/.."
 PREFIX=${PREFIX:-/usr/local}
 DESTDIR=${DESTDIR:-}
+built=${CARGO_TARGET_DIR:-target}/release
 share=$PREFIX/share/pickcell
 say() { echo "install: $*"; }
 
 for program in pickcell firmware-bridge; do
-    [ -x "target/release/$program" ] || { echo "install: target/release/$program is not there: run make build first" >&2; exit 2; }
-    install -D -m 755 "target/release/$program" "$DESTDIR$PREFIX/bin/$program"
+    [ -x "$built/$program" ] || { echo "install: $built/$program is not there: run make build first" >&2; exit 2; }
+    install -D -m 755 "$built/$program" "$DESTDIR$PREFIX/bin/$program"
     say "$DESTDIR$PREFIX/bin/$program"
 done
 install -D -m 644 docs/deploy.md "$DESTDIR$PREFIX/share/doc/pickcell/deploy.md"

@@ -2,7 +2,10 @@
 
 use std::fs::{self, File};
 use std::io::{self, Write};
+use std::os::fd::AsRawFd;
 use std::path::Path;
+
+use rustix::fs::{AtFlags, CWD, Mode, OFlags};
 
 /// Writes `bytes` to `path`: into a file of another name beside it, synced, then renamed. Whoever reads `path` sees
 /// the old file or the whole new one.
@@ -22,6 +25,48 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
     }
     written
 }
+
+/// Has `write` fill a file that is not there yet, synced. Whoever is ended meanwhile leaves nothing behind, on file
+/// systems that know files without names (ext4, XFS, Btrfs, tmpfs); on others a file beside it that ends in `.part`.
+///
+/// # Errors
+/// What the operating system or `write` said, [`io::ErrorKind::AlreadyExists`] where `path` is taken; nothing is left
+/// behind then.
+pub fn write_new<T, E: From<io::Error>>(
+    path: &Path,
+    write: impl FnOnce(&mut File) -> Result<T, E>,
+) -> Result<T, E> {
+    if path.symlink_metadata().is_ok() {
+        return Err(io::Error::from(io::ErrorKind::AlreadyExists).into());
+    }
+    let name = path
+        .file_name()
+        .ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, "the path names no file"))?;
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if let Ok(nameless) = rustix::fs::open(folder, OFlags::TMPFILE | OFlags::RDWR | OFlags::CLOEXEC, READABLE)
+    {
+        let mut file = File::from(nameless);
+        let written = write(&mut file)?;
+        file.sync_all()?;
+        let own = format!("/proc/self/fd/{}", file.as_raw_fd());
+        rustix::fs::linkat(CWD, own, CWD, path, AtFlags::SYMLINK_FOLLOW).map_err(io::Error::from)?;
+        return Ok(written);
+    }
+    let beside = path.with_file_name(format!(".{}.{}.part", name.to_string_lossy(), std::process::id()));
+    let mut file = File::create_new(&beside)?;
+    let written = write(&mut file).and_then(|written| {
+        file.sync_all()?;
+        fs::rename(&beside, path)?;
+        Ok(written)
+    });
+    if written.is_err() {
+        let _ = fs::remove_file(&beside);
+    }
+    written
+}
+
+/// Rights of a new file, before the process's mask.
+const READABLE: Mode = Mode::from_raw_mode(0o666);
 
 /// Whether a file can be written into `folder`; nothing is left of it.
 ///
@@ -45,6 +90,24 @@ mod tests {
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
         assert!(can_write(&folder.path().join("absent")).is_err());
         assert!(can_write(Path::new("/proc")).is_err());
+    }
+
+    #[test]
+    fn a_new_file_is_there_whole_or_not_at_all_and_replaces_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        let with = |text: &'static str| move |file: &mut File| file.write_all(text.as_bytes());
+        write_new(&path, with("one")).unwrap();
+        let taken = write_new(&path, with("two")).unwrap_err();
+        assert_eq!((taken.kind(), fs::read(&path).unwrap()), (io::ErrorKind::AlreadyExists, b"one".to_vec()));
+        let failed = write_new(&folder.path().join("b"), |file| {
+            file.write_all(b"half")?;
+            Err::<(), _>(io::Error::other("no"))
+        });
+        assert_eq!(failed.unwrap_err().to_string(), "no");
+        assert!(write_new(&folder.path().join("absent/b"), with("x")).is_err());
+        assert!(write_new(Path::new("/"), with("x")).is_err());
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 
     #[test]

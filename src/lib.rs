@@ -55,7 +55,7 @@
 //! | [`cell`] | every decision in `core`; the threads that carry events to it and actions from it | hot |
 //! | [`arm`] | the links of firmware_bridge as one type | edge |
 //! | [`telemetry`] | histograms and counters, written hot, read cold | hot |
-//! | [`session`] | recordings: MCAP reader and writer; folders of pictures | cold |
+//! | [`session`] | recordings: MCAP reader, writer and copier; folders of pictures | cold |
 //! | [`accuracy`] | recognition against known truth | cold |
 //! | [`report`] | overlay and stage pictures | cold |
 //! | [`files`], [`picture`] | files written whole or not at all; pictures from files | cold |

@@ -62,7 +62,7 @@ fn main() -> ExitCode {
         Command::Devices(args) => print(cli.log_format, &devices::run(&args), 0),
         Command::Session(args) => match session::run(&args) {
             Ok(text) => print(cli.log_format, &text, 0),
-            Err(e) => fail(cli.log_format, &e, 2),
+            Err(e) => fail(cli.log_format, &e, e.exit_code()),
         },
         Command::Check(args) => {
             let (text, code) = check::run(&args);

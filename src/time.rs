@@ -1,22 +1,22 @@
 //! Time stamps and budgets; the only room that reads a clock.
 //!
-//! Every time in the cell is a count of nanoseconds of `CLOCK_MONOTONIC`, the clock that V4L2 stamps buffers
-//! with. Pure rooms get a [`Timestamp`] or a [`Budget`] as an argument and never ask a clock themselves, except
+//! Every time in the cell is a count of nanoseconds of `CLOCK_BOOTTIME`. V4L2 stamps buffers with `CLOCK_MONOTONIC`,
+//! which stands still while the machine is suspended: a picture of before would look fresh after. The cell's clock goes
+//! on, and [`Sleep`] makes its times of the drivers' stamps and notices suspends. Pure rooms get a [`Timestamp`] or a [`Budget`] as an argument and never ask a clock themselves, except
 //! that a [`Budget::Until`] asks it for them.
 
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-/// A moment: nanoseconds of `CLOCK_MONOTONIC`. Signed, because a driver may stamp a frame a little ahead of now.
+/// A moment: nanoseconds of `CLOCK_BOOTTIME`. Signed, because a driver may stamp a frame a little ahead of now.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Timestamp(pub i64);
 
 impl Timestamp {
     /// The present moment.
     pub fn now() -> Self {
-        let t = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
-        Self(t.tv_sec * 1_000_000_000 + t.tv_nsec)
+        Self(read_ns(rustix::time::ClockId::Boottime))
     }
 
     /// Nanoseconds from `earlier` to `self`; negative where `earlier` is the later one.
@@ -30,10 +30,70 @@ impl Timestamp {
     }
 }
 
+fn read_ns(clock: rustix::time::ClockId) -> i64 {
+    let t = rustix::time::clock_gettime(clock);
+    t.tv_sec * 1_000_000_000 + t.tv_nsec
+}
+
+/// The cell's clock and the one that stands still in a suspend, read one after the other.
+#[derive(Clone, Copy, Debug)]
+pub struct Clocks {
+    /// The cell's.
+    pub cell: Timestamp,
+    /// Of `CLOCK_MONOTONIC`, read second.
+    pub monotonic_ns: i64,
+}
+
+impl Clocks {
+    /// Reads both; neither is a system call.
+    pub fn now() -> Self {
+        let cell = Timestamp::now();
+        Self { cell, monotonic_ns: read_ns(rustix::time::ClockId::Monotonic) }
+    }
+
+    /// How long the machine was suspended since it was started, or less by what passed between the two readings.
+    fn slept_ns(self) -> i64 {
+        self.cell.0.saturating_sub(self.monotonic_ns)
+    }
+}
+
+/// A suspend is longer; a thread that has to wait between the two readings of [`Clocks::now`] is not taken for one, ns.
+const SLEEP_NS_MIN: i64 = 10_000_000;
+
+/// How long the machine was suspended since it was started, as far as is known.
+#[derive(Clone, Copy, Debug)]
+pub struct Sleep {
+    /// The longest that was read: no reading is too long.
+    slept_ns: i64,
+}
+
+impl Sleep {
+    /// Suspends from now on are noticed. Of several readings the best counts, or a later one would look like a suspend.
+    pub fn until_now(mut read: impl FnMut() -> Clocks) -> Self {
+        Self { slept_ns: (0..4).map(|_| read().slept_ns()).max().unwrap_or(0) }
+    }
+
+    /// For how long the machine was suspended since the last look, ns, if it was.
+    pub fn look(&mut self, clocks: Clocks) -> Option<i64> {
+        let more_ns = clocks.slept_ns().saturating_sub(self.slept_ns);
+        self.slept_ns = self.slept_ns.saturating_add(more_ns.max(0));
+        (more_ns >= SLEEP_NS_MIN).then_some(more_ns)
+    }
+
+    /// The cell's time of a moment of `CLOCK_MONOTONIC` since the last suspend.
+    pub fn cell_time(&self, monotonic_ns: i64) -> Timestamp {
+        Timestamp(monotonic_ns.saturating_add(self.slept_ns))
+    }
+}
+
 /// Wall time minus [`Timestamp`] time at this moment, ns: what makes dates of the cell's times.
 pub fn wall_from_cell_ns() -> i64 {
-    let wall = rustix::time::clock_gettime(rustix::time::ClockId::Realtime);
-    wall.tv_sec * 1_000_000_000 + wall.tv_nsec - Timestamp::now().0
+    read_ns(rustix::time::ClockId::Realtime) - Timestamp::now().0
+}
+
+/// Wall time, ms since 1970; 0 before.
+pub fn wall_ms() -> u64 {
+    u64::try_from(read_ns(rustix::time::ClockId::Realtime) / 1_000_000).unwrap_or(0)
 }
 
 /// A wall time as the name of a file: `2026-03-01T12-30-05.250Z`, proleptic Gregorian, UTC.
@@ -114,6 +174,33 @@ mod tests {
         assert_eq!(name(1_772_368_205), "2026-03-01T12-30-05.250Z");
         assert_eq!(name(4_107_542_399), "2100-02-28T23-59-59.250Z");
         assert_eq!(name(4_107_542_400), "2100-03-01T00-00-00.250Z");
+    }
+
+    #[test]
+    fn a_suspend_is_noticed_once_and_a_thread_that_was_kept_waiting_is_none() {
+        const S: i64 = 1_000_000_000;
+        let clocks = |cell_ns: i64, monotonic_ns: i64| Clocks { cell: Timestamp(cell_ns), monotonic_ns };
+        // An hour was slept before the start; the first reading was interrupted for half a second.
+        let mut delays_ns = [S / 2, 3, 40, 9].into_iter().cycle();
+        let mut sleep = Sleep::until_now(|| clocks(3700 * S, 100 * S + delays_ns.next().unwrap_or_default()));
+        assert_eq!(sleep.look(clocks(3701 * S, 101 * S)), None);
+        assert_eq!(sleep.look(clocks(3702 * S, 102 * S + S / 3)), None);
+        assert_eq!(sleep.look(clocks(3703 * S, 103 * S)), None);
+        assert_eq!(sleep.cell_time(103 * S), Timestamp(3703 * S));
+        assert_eq!(sleep.look(clocks(4000 * S, 110 * S)), Some(290 * S));
+        assert_eq!(sleep.cell_time(110 * S), Timestamp(4000 * S));
+        assert_eq!(sleep.look(clocks(4001 * S, 111 * S)), None);
+    }
+
+    #[test]
+    fn the_cells_clock_is_none_that_stands_still_in_a_suspend() {
+        let boot_ns = || read_ns(rustix::time::ClockId::Boottime);
+        let (before, now, after) = (boot_ns(), Timestamp::now().0, boot_ns());
+        assert!(before <= now && now <= after);
+        assert!(
+            firmware_bridge::link::clock_ns() - now < 60_000_000_000,
+            "the arm's side has the same clock"
+        );
     }
 
     #[test]

@@ -77,6 +77,7 @@ fn nothing_is_allocated_between_two_pairs() {
         silence_ns: 1_000_000_000,
         iterations: Some(5000),
         seed: 1,
+        repeated: Vec::new(),
         has_arm: true,
         first_id: 1,
         place: None,
@@ -88,6 +89,7 @@ fn nothing_is_allocated_between_two_pairs() {
     arm.hasten(20.0);
     let mut now = Timestamp(1_000_000_000_000);
     let mut carrier = Carrier::new(&desk, hub, Core::new(params, &cell.arm_side, now), arm);
+    let mut lone_frames = 0;
     let (mut arm_loop, mut recognise_loop, mut sent, mut parts_found) = (0, 0, 0, 0);
     for pair in 0..PAIRS {
         let warm = pair >= PAIRS / 3;
@@ -100,6 +102,11 @@ fn nothing_is_allocated_between_two_pairs() {
                     carrier.turn(now);
                 }
                 carrier.event(&Event::Operator(Operator::Release), now);
+                // A frame that nobody will pair, and then the pair.
+                let mut lone = grabs[0].free.pop().unwrap();
+                lone.bytes.resize(16, 7);
+                lone.timestamp = Timestamp(now.0 - 20_000_000);
+                carrier.letter(Letter::Frame(Side::Left, lone, Condition::Good, 0), now);
                 for (side, camera) in [(Side::Left, &mut left), (Side::Right, &mut right)] {
                     let mut frame = grabs[side.index()].free.pop().unwrap();
                     assert!(matches!(camera.grab(&mut frame, Duration::from_secs(1)), Grab::Frame { .. }));
@@ -115,9 +122,17 @@ fn nothing_is_allocated_between_two_pairs() {
         parts_found += u64::from(warm) * u64::from(found.parts);
         count(&mut arm_loop, taken_by(|| carrier.letter(Letter::Recognised(number, found, file), now)));
         while let Ok(paper) = cold.papers.pop() {
-            if let Paper::Pair(report, file) = paper {
-                sent += usize::from(warm && report.outcome.is_ok());
-                file.into_iter().for_each(|file| cold.outbox.send(Letter::Filed(file)));
+            match paper {
+                Paper::Pair(report, file) => {
+                    sent += usize::from(warm && report.outcome.is_ok());
+                    file.into_iter().for_each(|file| cold.outbox.send(Letter::Filed(file)));
+                }
+                Paper::Lone(side, frame) => {
+                    assert_eq!((side, &frame.bytes[..]), (Side::Left, &[7; 16][..]));
+                    lone_frames += 1;
+                    cold.outbox.send(Letter::Spare(side, frame));
+                }
+                Paper::Note(..) => {}
             }
         }
         while let Some(letter) = carrier.next_letter() {
@@ -125,6 +140,7 @@ fn nothing_is_allocated_between_two_pairs() {
         }
     }
     assert!(sent > 0, "targets go out while it is counted");
+    assert_eq!(lone_frames, PAIRS, "frames without a partner go to the recording");
     let (mut commands, mut reports) = (0, 0);
     while let Ok(Logged { said, .. }) = cold.log.pop() {
         commands += usize::from(matches!(said, Said::Command(Command::Pick(_), None)));

@@ -88,6 +88,8 @@ impl Campaign<'_> {
                 self.told.notes.insert(0, *note);
             }
             match paper {
+                // Nothing is recorded here.
+                Paper::Lone(..) => {}
                 Paper::Pair(report, file) => {
                     self.told.ordered.extend(report.outcome.ok().map(|sent| sent.id));
                     file.into_iter().for_each(|file| self.cold.outbox.send(Letter::Filed(file)));
@@ -126,6 +128,7 @@ fn params() -> Params {
         silence_ns: 1000 * MS,
         iterations: Some(1),
         seed: 1,
+        repeated: Vec::new(),
         has_arm: true,
         first_id: 1,
         place: None,

@@ -124,6 +124,75 @@ fn a_recorded_run_is_the_same_when_it_is_run_again() {
     assert_eq!(lines.len(), 20);
 }
 
+#[test]
+fn a_run_under_its_deadline_replayed_gives_the_same_targets() {
+    // Four seconds of the conveyor, at its own pace: some targets of an arm that takes its time.
+    let cell = Cell::new(&[(
+        "[realtime]",
+        "[realtime]\nscheduling = \"normal\"\n[recording]\nfolder = \"recordings\"\n",
+    )]);
+    let conveyor = Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/conveyor");
+    for side in ["left", "right"] {
+        fs::create_dir_all(cell.path("long").join(side)).unwrap();
+        for i in 0..120 {
+            let picture = conveyor.join(format!("{side}/{:04}.jpg", i % 20));
+            fs::copy(picture, cell.path(&format!("long/{side}/{i:04}.jpg"))).unwrap();
+        }
+    }
+    fs::write(cell.path("long/session.toml"), "rate_hz = 30").unwrap();
+    let play = |cell: &Cell, path: &Path| {
+        let text = fs::read_to_string(cell.path("cell.toml")).unwrap();
+        let text =
+            text.replacen(&format!("\"{}\"", conveyor.display()), &format!("\"{}\"", path.display()), 1);
+        // Without place records: how long the disk takes for one is not repeated.
+        let (head, tail) = (text.find("[place]").unwrap(), text.find("[realtime]").unwrap());
+        fs::write(cell.path("cell.toml"), text[..head].to_owned() + &text[tail..]).unwrap();
+    };
+    play(&cell, &cell.path("long"));
+    let lines = |cell: &Cell| -> Vec<Value> {
+        let output = cell.run(&["--format", "json", "--overlay", "none"]);
+        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+        let lines = stdout(&output);
+        let mut lines: Vec<Value> = lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+        lines.pop();
+        // A pair for which there was no time is not searched again either.
+        lines.retain(|line| !line["parts"].is_null());
+        for line in &mut lines {
+            let line = line.as_object_mut().unwrap();
+            line.remove("time_ms");
+            line.remove("deadline_kept");
+            let sent = line["target"].is_number();
+            line.insert("target".into(), sent.into());
+        }
+        lines
+    };
+    let recorded = lines(&cell);
+    let file = fs::read_dir(cell.path("recordings")).unwrap().next().unwrap().unwrap().path();
+    let again = Cell::fast(&[("seed = 1 ", "seed = 77 ")]);
+    play(&again, &file);
+    let replayed = lines(&again);
+    assert!(recorded.iter().filter(|line| line["target"] == true).count() >= 2, "{recorded:?}");
+    for (before, after) in recorded.iter().zip(&replayed) {
+        assert_eq!(before, after);
+    }
+    assert_eq!(recorded.len(), replayed.len());
+}
+
+#[test]
+fn a_camera_by_its_number_is_warned_of() {
+    let cameras = ["left", "right"].map(|side| {
+        format!("[cameras.{side}]\ndevice = \"/dev/video9{}\"\nformat = \"YUYV\"\nwidth = 640\nheight = 480\nrate_hz = 30\n", side.len())
+    });
+    let rig = format!("{}[rig]", cameras.concat());
+    let cell = Cell::new(&[("backend = \"replay\"", "backend = \"v4l2\""), ("[rig]", &rig)]);
+    let output = cell.run(&[]);
+    assert_eq!(output.status.code(), Some(2));
+    let said = stderr(&output);
+    let warning =
+        "cameras.left.device = \"/dev/video94\" is a number that changes when cameras are plugged in anew";
+    assert_eq!(said.matches(warning).count(), 1, "{said}");
+}
+
 /// A pick as a recording holds it, and what the arm said to it and when, ms.
 type Answered<'a> = (u64, &'a [(i64, Report)]);
 

@@ -4,7 +4,7 @@
 //! `cargo bench -p firmware-bridge --bench shared_memory`
 
 use firmware_bridge::link::shared::{CellRecord, Ports, Side};
-use firmware_bridge::link::{monotonic_ns, wait_for};
+use firmware_bridge::link::{clock_ns, wait_for};
 use firmware_bridge::message::{Command, Pick, Pose, Seen};
 use std::io::{BufRead, BufReader};
 use std::process::{Command as Process, Stdio};
@@ -57,7 +57,7 @@ fn send() {
     for number in 1..=TARGETS + WARM_UP {
         record.newest = number;
         record.commands[number as usize % 4] = Some(Command::Pick(pick));
-        record.sent_ns = monotonic_ns();
+        record.sent_ns = clock_ns();
         ports.publish(&record);
         std::thread::sleep(Duration::from_millis(1));
     }
@@ -71,11 +71,11 @@ fn receive(service: &str) {
     let ports = Ports::open(service, Side::Bridge).expect("the service can be opened");
     println!("ready");
     let mut delays_ns = Vec::with_capacity(TARGETS as usize);
-    let mut last_ns = monotonic_ns();
-    while monotonic_ns() - last_ns < 1_000_000_000 {
+    let mut last_ns = clock_ns();
+    while clock_ns() - last_ns < 1_000_000_000 {
         wait_for(&[Some(ports.fd())], last_ns + 1_000_000_000);
         while let Some(record) = ports.receive::<CellRecord>() {
-            last_ns = monotonic_ns();
+            last_ns = clock_ns();
             if record.newest > WARM_UP {
                 delays_ns.push(last_ns - record.sent_ns);
             }

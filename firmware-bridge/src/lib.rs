@@ -13,7 +13,7 @@
 //! | [`realtime`] | rights that hot threads ask the system for, of the driver too | edge |
 //! | [`simulate`] | the firmware's end of each language, with faults on demand | pure |
 //!
-//! Nothing here knows the driver. Pure modules get time (nanoseconds of `CLOCK_MONOTONIC`) and randomness as
+//! Nothing here knows the driver. Pure modules get time (nanoseconds of `CLOCK_BOOTTIME`) and randomness as
 //! arguments, and allocate nothing after `new`. Without the feature `std` only what a firmware needs is left.
 #![cfg_attr(not(feature = "std"), no_std)]
 

@@ -1,7 +1,7 @@
 //! What the cell and an arm say to each other, whatever link and dialect carries it.
 //!
 //! Takes nothing, owns nothing: plain `Copy` values. The cell says a [`Command`], the arm's side answers with
-//! [`Report`]s. All times are nanoseconds of the cell's `CLOCK_MONOTONIC`; a link to another clock (serial)
+//! [`Report`]s. All times are nanoseconds of the cell's clock (`CLOCK_BOOTTIME`); a link to another clock (serial)
 //! converts at its border. Lengths are millimetres in the base frame.
 //!
 //! # The order of things
@@ -52,7 +52,7 @@ impl Pose {
 /// When the two pictures were taken that a pick rests on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Seen {
-    /// Time of the left frame, ns of `CLOCK_MONOTONIC`.
+    /// Time of the left frame, ns of the cell's clock.
     pub left_ns: i64,
     /// Time of the right frame, ns.
     pub right_ns: i64,

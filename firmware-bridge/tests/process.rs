@@ -2,7 +2,7 @@
 
 use clap::ValueEnum;
 use firmware_bridge::config::Settings;
-use firmware_bridge::link::{Link, monotonic_ns};
+use firmware_bridge::link::{Link, clock_ns};
 use firmware_bridge::message::{ArmAxes, Command, Disconnect, Pick, Pose, Refusal, Report, Seen};
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -44,9 +44,9 @@ impl Drop for Running {
 }
 
 fn wait_for_file(path: &Path) {
-    let start_ns = monotonic_ns();
+    let start_ns = clock_ns();
     while !path.exists() {
-        assert!(monotonic_ns() - start_ns < PATIENCE_NS, "{} does not appear", path.display());
+        assert!(clock_ns() - start_ns < PATIENCE_NS, "{} does not appear", path.display());
         std::thread::sleep(std::time::Duration::from_millis(5));
     }
 }
@@ -73,17 +73,17 @@ fn write_cell(folder: &Path, name: &str, link: &str) -> (PathBuf, Settings) {
 
 /// Polls until a report is what is waited for; gives it.
 fn wait_report(link: &mut Link, wanted: impl Fn(&Report) -> bool) -> Report {
-    let start_ns = monotonic_ns();
+    let start_ns = clock_ns();
     let mut seen = Vec::new();
     loop {
-        while let Some(report) = link.poll(monotonic_ns()) {
+        while let Some(report) = link.poll(clock_ns()) {
             if wanted(&report) {
                 return report;
             }
             seen.push(report);
         }
-        assert!(monotonic_ns() - start_ns < PATIENCE_NS, "only {seen:?}");
-        link.wait(link.next_deadline_ns().unwrap_or(i64::MAX).min(monotonic_ns() + 100 * MS), None);
+        assert!(clock_ns() - start_ns < PATIENCE_NS, "only {seen:?}");
+        link.wait(link.next_deadline_ns().unwrap_or(i64::MAX).min(clock_ns() + 100 * MS), None);
     }
 }
 
@@ -96,7 +96,7 @@ fn wait_connected(link: &mut Link) -> u32 {
 
 fn pick(id: u64, session: u32) -> Pick {
     let at = |x, y, z| Pose { position_mm: [x, y, z], orientation_xyzw: [1.0, 0.0, 0.0, 0.0] };
-    let now_ns = monotonic_ns();
+    let now_ns = clock_ns();
     Pick {
         id,
         session,
@@ -117,10 +117,10 @@ fn pick(id: u64, session: u32) -> Pick {
 
 /// Releases, waits until the arm is ready and a picture after that could have been taken, and picks.
 fn place_one(link: &mut Link, session: u32, id: u64) {
-    link.command(Command::Release, monotonic_ns()).unwrap();
+    link.command(Command::Release, clock_ns()).unwrap();
     wait_report(link, |r| matches!(r, Report::Ready { .. }));
     std::thread::sleep(std::time::Duration::from_millis(20));
-    link.command(Command::Pick(pick(id, session)), monotonic_ns()).unwrap();
+    link.command(Command::Pick(pick(id, session)), clock_ns()).unwrap();
     wait_report(link, |r| *r == Report::Done { id });
 }
 
@@ -179,13 +179,13 @@ fn targets_go_through_shared_memory_and_either_side_may_be_killed() {
     let run = ["run", "--cell", cell.to_str().unwrap()];
     // The driver first, the bridge later.
     let mut link = Link::open(&settings, 7).unwrap();
-    assert_eq!(link.command(Command::Release, monotonic_ns()), Err(Refusal::NotConnected));
+    assert_eq!(link.command(Command::Release, clock_ns()), Err(Refusal::NotConnected));
     let mut bridge = Running::start(&run);
     let session = wait_connected(&mut link);
     place_one(&mut link, session, 1);
     // The bridge is killed in the middle of a pick and comes back.
     std::thread::sleep(std::time::Duration::from_millis(20));
-    link.command(Command::Pick(pick(2, session)), monotonic_ns()).unwrap();
+    link.command(Command::Pick(pick(2, session)), clock_ns()).unwrap();
     wait_report(&mut link, |r| *r == Report::Moving { id: 2 });
     bridge.0.kill().unwrap();
     wait_report(&mut link, |r| *r == Report::Lost { id: 2 });
@@ -198,7 +198,7 @@ fn targets_go_through_shared_memory_and_either_side_may_be_killed() {
     drop(link);
     let mut link = Link::open(&settings, 8).unwrap();
     let third = wait_connected(&mut link);
-    let early = link.command(Command::Pick(pick(4, third)), monotonic_ns());
+    let early = link.command(Command::Pick(pick(4, third)), clock_ns());
     assert_eq!(early, Err(Refusal::OnHold));
     place_one(&mut link, third, 5);
     let second_driver = Link::open(&settings, 9).unwrap_err().to_string();
@@ -247,10 +247,10 @@ fn a_bridge_that_meets_another_dialect_ends_with_2() {
     let text = text.replace("\"arm\"", &format!("\"{device}\"\nhandshake_timeout_ms = 50"));
     std::fs::write(&cell, text).unwrap();
     let mut bridge = Running::start(&["run", "--cell", cell.to_str().unwrap()]);
-    let start_ns = monotonic_ns();
+    let start_ns = clock_ns();
     while bridge.0.try_wait().unwrap().is_none() {
         assert!(
-            monotonic_ns() - start_ns < PATIENCE_NS,
+            clock_ns() - start_ns < PATIENCE_NS,
             "{}: the bridge takes text for an arm",
             settings.arm.service
         );

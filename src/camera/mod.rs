@@ -62,6 +62,8 @@ pub enum Trouble {
     Unplugged,
     /// It is there and sends nothing.
     Stalled,
+    /// The machine was suspended to RAM.
+    Suspended,
     /// The USB bus has no bandwidth left (ENOSPC).
     NoBandwidth,
     /// Another program has it (EBUSY).
@@ -82,6 +84,7 @@ impl std::fmt::Display for Trouble {
         match self {
             Trouble::Unplugged => write!(f, "unplugged; plug it in again, the cell goes on by itself"),
             Trouble::Stalled => write!(f, "there, but sends no frames; it is opened anew"),
+            Trouble::Suspended => write!(f, "the machine was suspended; it is opened anew"),
             Trouble::NoBandwidth => write!(
                 f,
                 "no bandwidth left on its USB bus (ENOSPC); plug it into another port, take MJPG or a smaller size"

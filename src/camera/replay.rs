@@ -31,7 +31,7 @@ pub enum Pace {
     /// At the times at which the session was recorded.
     AsRecorded,
     /// The next pair when the cell has finished the last one: whoever finishes a pair wakes both. Only pairs of which
-    /// both pictures are there and whole are played.
+    /// both pictures are there and whole, and that the recorded cell had time for, are played.
     Stepped([Arc<Waker>; 2]),
 }
 
@@ -89,6 +89,8 @@ impl Moments {
 pub struct ReplayCamera {
     side: Side,
     pictures: Vec<Picture>,
+    /// What moments of their exposures the times are.
+    marks: Vec<TimestampMark>,
     moments: Arc<Moments>,
     pace: Pace,
     /// Next pair; the session starts anew at its end until `at` of all pairs are used up.
@@ -119,10 +121,9 @@ impl ReplayCamera {
         let mut side = |side: Side| -> Result<Self, SessionError> {
             let mut pictures = Vec::with_capacity(session.pairs.len());
             let (mut is_any_whole, mut first_error) = (false, None);
-            let whole = |pair: &&RecordedPair| {
-                !matches!(pace, Pace::Stepped(_)) || pair.pictures.iter().all(Option::is_some)
-            };
-            for pair in session.pairs.iter().filter(whole) {
+            let played = |pair: &&RecordedPair| !matches!(pace, Pace::Stepped(_)) || pair.is_whole();
+            let marks = session.pairs.iter().filter(played).map(|pair| pair.marks[side.index()]).collect();
+            for pair in session.pairs.iter().filter(played) {
                 let Some(picture) = &pair.pictures[side.index()] else {
                     pictures.push(Picture::Absent);
                     continue;
@@ -149,6 +150,7 @@ impl ReplayCamera {
             Ok(Self {
                 side,
                 pictures,
+                marks,
                 moments: Arc::clone(&moments),
                 pace: pace.clone(),
                 next: 0,
@@ -201,7 +203,7 @@ impl ReplayCamera {
                 },
             };
             frame.timestamp = self.moments.agree(index);
-            frame.mark = TimestampMark::HandedOver;
+            frame.mark = self.marks[index % self.pictures.len()];
             frame.sequence = index as u32;
             return Grab::Frame { condition, skipped: 0 };
         }
@@ -300,7 +302,8 @@ mod tests {
                 })
             });
             let pictures = pictures.map(|path| path.map(RecordedPicture::File));
-            RecordedPair { name: i.to_string(), after_ns: i64::from(i) * 1_000_000, pictures }
+            let (marks, fate) = Default::default();
+            RecordedPair { name: i.to_string(), after_ns: i64::from(i) * 1_000_000, pictures, marks, fate }
         };
         let pairs = vec![pair(0, true), pair(1, false), pair(2, true)];
         Session {
@@ -308,6 +311,7 @@ mod tests {
             rate_hz: 1000.0,
             pairs,
             arm: Vec::new(),
+            arm_lead_ns: None,
             results: Default::default(),
             broken_at: None,
         }

@@ -130,6 +130,7 @@ impl<'a> Carrier<'a> {
                 }
             }
             Letter::Filed(file) => self.hub.give_back(file),
+            Letter::Spare(side, frame) => self.hub.take_back(side, frame),
             Letter::Persisted(record, true) => self.event(&Event::Persisted(record), now),
             Letter::Persisted(_, false) => self.event(&Event::NotPersisted, now),
         }
@@ -156,7 +157,11 @@ impl<'a> Carrier<'a> {
         self.desk.telemetry.publish(self.core.counts());
     }
 
-    fn frame(&mut self, side: Side, frame: Frame, condition: Condition, skipped: u32, now: Timestamp) {
+    fn frame(&mut self, side: Side, mut frame: Frame, condition: Condition, skipped: u32, now: Timestamp) {
+        if condition != Condition::Good {
+            // What is in it is of an earlier picture.
+            frame.bytes.clear();
+        }
         let Some(slot) = self.shelf.iter().position(|place| matches!(place, Place::Free)) else {
             // The core holds fewer frames than there are places; a frame more than that is not one of them.
             self.hub.give(side, frame);
@@ -193,7 +198,7 @@ impl<'a> Carrier<'a> {
             }
             Action::Free(handle) => {
                 if let Place::Here(side, frame) = std::mem::take(&mut self.shelf[handle.index()]) {
-                    self.hub.give(side, frame);
+                    self.let_go(side, frame);
                 }
             }
             Action::Arm(command) => {
@@ -211,6 +216,17 @@ impl<'a> Carrier<'a> {
             }
             Action::Say(note) => self.say(note, now),
             Action::End(ending) => self.ending = Some(ending),
+        }
+    }
+
+    /// A frame that led to no search goes back to its camera, by way of the recording where one is made: after a fault
+    /// it tells what was seen.
+    fn let_go(&mut self, side: Side, frame: Frame) {
+        if frame.bytes.is_empty() || !self.hub.records() {
+            self.hub.give(side, frame);
+        } else if let Err(frame) = self.hub.lend(side, frame) {
+            self.desk.telemetry.add_unkept();
+            self.hub.give(side, frame);
         }
     }
 

@@ -35,6 +35,8 @@ const LETTERS: usize = 32;
 const PAPERS: usize = 1024;
 /// Place records that wait at most.
 const RECORDS: usize = 4;
+/// Frames of a side that led to no search and may wait for being recorded: half a second of one whose partner is away.
+const LONE_FRAMES: usize = 16;
 /// A sender whose ring is full tries again after so long.
 const FULL_PAUSE: Duration = Duration::from_millis(1);
 
@@ -78,6 +80,8 @@ pub enum Letter {
     Persisted(PlaceRecord, bool),
     /// The cold thread needs a file no longer.
     Filed(Box<File>),
+    /// The cold thread needs a lone frame no longer.
+    Spare(Side, Frame),
 }
 
 /// To the cold thread.
@@ -87,6 +91,8 @@ pub enum Paper {
     Note(Note, Timestamp),
     /// A pair is finished with; its file where there was one to spare.
     Pair(PairReport, Option<Box<File>>),
+    /// A frame that led to no search, to be recorded.
+    Lone(Side, Frame),
 }
 
 /// Something that is written down, and when it was.
@@ -183,6 +189,8 @@ pub struct Hub {
     stock: Vec<Box<File>>,
     papers: Producer<Paper>,
     records: Producer<PlaceRecord>,
+    /// Frames of each side that may yet be lent for being recorded.
+    lone: [usize; 2],
     /// Without room where nothing is recorded.
     log: Producer<Logged>,
     papers_waker: Arc<Waker>,
@@ -210,8 +218,10 @@ impl Desk {
     pub fn new(files: usize, frame_bytes: usize, logged: usize) -> io::Result<(Self, Seats)> {
         // One file is with the recogniser, one on its way to the core.
         let files = files + 2;
-        // Of each side: one in every file, those that the core keeps, one that is filled and one on its way.
-        let frames = files + super::core::HANDLES + 2;
+        let lone = if logged > 0 { LONE_FRAMES } else { 0 };
+        // Of each side: one in every file, those that the core keeps, one that is filled and one on its way, and those
+        // that wait for being recorded alone.
+        let frames = files + super::core::HANDLES + 2 + lone;
         let letters_waker = Arc::new(Waker::new()?);
         let papers_waker = Arc::new(Waker::new()?);
         let way = |room: usize| {
@@ -228,7 +238,7 @@ impl Desk {
         };
         let ((left, free_left, from_left), (right, free_right, from_right)) = (grab(), grab());
         let (recognise, from_recognise) = way(files);
-        let (outbox, from_cold) = way(files);
+        let (outbox, from_cold) = way(files + 2 * lone);
         let (to_papers, papers) = RingBuffer::new(PAPERS);
         let (to_records, records) = RingBuffer::new(RECORDS);
         let (to_log, log) = RingBuffer::new(logged);
@@ -238,6 +248,7 @@ impl Desk {
             stock: (0..files).map(|_| Box::new(File::with_room())).collect(),
             papers: to_papers,
             records: to_records,
+            lone: [lone; 2],
             log: to_log,
             papers_waker: Arc::clone(&papers_waker),
         };
@@ -286,6 +297,32 @@ impl Hub {
         self.stock.push(file);
     }
 
+    /// Whether a recording is made.
+    pub fn records(&self) -> bool {
+        self.log.buffer().capacity() > 0
+    }
+
+    /// Lends a frame that led to no search to the cold thread, which records it.
+    ///
+    /// # Errors
+    /// Gives it back where too many of its side are under way.
+    pub fn lend(&mut self, side: Side, frame: Frame) -> Result<(), Frame> {
+        if self.lone[side.index()] == 0 {
+            return Err(frame);
+        }
+        match self.tell(Paper::Lone(side, frame)) {
+            Err(Paper::Lone(_, frame)) => return Err(frame),
+            _ => self.lone[side.index()] -= 1,
+        }
+        Ok(())
+    }
+
+    /// A frame that was lent is back.
+    pub fn take_back(&mut self, side: Side, frame: Frame) {
+        self.lone[side.index()] += 1;
+        self.give(side, frame);
+    }
+
     /// Hands a paper to the cold thread.
     ///
     /// # Errors
@@ -299,7 +336,7 @@ impl Hub {
     /// Has something written down, if a recording is made; whether it will be. The cold thread is not woken: it comes
     /// by itself, and with every pair.
     pub fn log(&mut self, said: Said, at: Timestamp) -> bool {
-        self.log.buffer().capacity() == 0 || self.log.push(Logged { at, said }).is_ok()
+        !self.records() || self.log.push(Logged { at, said }).is_ok()
     }
 
     /// Has a place record written; whether there was room for it.
@@ -327,6 +364,37 @@ mod tests {
         seats.hub.give_back(file);
         assert_eq!(seats.grabs[0].free.slots(), free + 1);
         assert!(seats.hub.letter().is_none());
+    }
+
+    #[test]
+    fn so_many_lone_frames_are_lent_as_there_are_for_it_and_only_to_a_recording() {
+        let (_, mut seats) = Desk::new(0, 10, 1).unwrap();
+        let [left, _] = &mut seats.grabs;
+        let all = left.free.slots();
+        let mut lent = 0;
+        while let Ok(frame) = left.free.pop() {
+            match seats.hub.lend(Side::Left, frame) {
+                Ok(()) => lent += 1,
+                Err(frame) => seats.hub.give(Side::Left, frame),
+            }
+            if lent == LONE_FRAMES {
+                break;
+            }
+        }
+        let more = left.free.pop().unwrap();
+        let back = seats.hub.lend(Side::Left, more).unwrap_err();
+        seats.hub.give(Side::Left, back);
+        assert_eq!(left.free.slots(), all - LONE_FRAMES);
+        while let Ok(Paper::Lone(side, frame)) = seats.cold.papers.pop() {
+            seats.cold.outbox.send(Letter::Spare(side, frame));
+        }
+        while let Some(Letter::Spare(side, frame)) = seats.hub.letter() {
+            seats.hub.take_back(side, frame);
+        }
+        assert_eq!((seats.grabs[0].free.slots(), seats.hub.lone), (all, [LONE_FRAMES; 2]));
+        let (_, mut seats) = Desk::new(0, 10, 0).unwrap();
+        let frame = seats.grabs[0].free.pop().unwrap();
+        assert!(seats.hub.lend(Side::Left, frame).is_err());
     }
 
     #[test]

@@ -34,7 +34,7 @@ use crate::frame::Frame;
 use crate::handover::Waker;
 use crate::hands;
 use crate::recognize::Recognizer;
-use crate::time::Timestamp;
+use crate::time::{Clocks, Sleep, Timestamp};
 
 /// A grab thread looks this often whether the cell has ended.
 const GRAB_TIMEOUT: Duration = Duration::from_millis(100);
@@ -320,9 +320,15 @@ fn arm_loop(
     mut orders: Producer<Work>,
 ) -> Ending {
     let mut stepped = Timestamp::now();
+    let mut sleep = Sleep::until_now(Clocks::now);
     loop {
         desk.letters_waker.clear();
-        let now = Timestamp::now();
+        let clocks = Clocks::now();
+        let now = clocks.cell;
+        // Before any letter: those that wait may be of before.
+        if let Some(for_ns) = sleep.look(clocks) {
+            carrier.event(&Event::Suspended { for_ns }, now);
+        }
         if controls.hold.swap(false, Ordering::AcqRel) {
             carrier.event(&Event::Operator(Operator::Hold), now);
         }

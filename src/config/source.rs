@@ -51,7 +51,7 @@ impl Source {
         ConfigError::Value {
             location: self.location(key),
             key: key.to_owned(),
-            value: value.to_string(),
+            value: shortened(value.to_string()),
             allowed: allowed.into(),
         }
     }
@@ -114,8 +114,31 @@ impl Source {
             let remedy = "this key has no default".to_owned();
             return ConfigError::Missing { location, key: join(&key, field), remedy };
         }
-        ConfigError::Malformed { location, key, message: message.replace('\n', " ") }
+        ConfigError::Malformed { location, key, message: plain(&message.replace('\n', " ")) }
     }
+}
+
+/// Longest value that a message repeats, characters: 1e308 has as many digits.
+const VALUE_CHARS_MAX: usize = 200;
+
+fn shortened(value: String) -> String {
+    match value.char_indices().nth(VALUE_CHARS_MAX) {
+        Some((end, _)) => format!("{}…", &value[..end]),
+        None => value,
+    }
+}
+
+/// A message without the names that a program has for numbers.
+fn plain(message: &str) -> String {
+    let words = [
+        ("expected u64", "expected a whole number, 0 or more"),
+        ("expected usize", "expected a whole number, 0 or more"),
+        ("expected u32", "expected a whole number from 0 to 4294967295"),
+        ("expected u8", "expected a whole number from 0 to 255"),
+        ("expected f64", "expected a number"),
+    ];
+    let of_program = words.iter().find_map(|(name, words)| Some((message.strip_suffix(name)?, words)));
+    of_program.map_or_else(|| message.to_owned(), |(rest, words)| format!("{rest}{words}"))
 }
 
 /// `unknown field `x`, expected one of `a`, `b`` → ("x", "a, b").

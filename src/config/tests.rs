@@ -274,11 +274,11 @@ fn wrong_kinds_and_broken_toml_name_their_line() {
     let bench = Bench::new();
     assert_eq!(
         bench.message("width = 640", "width = \"wide\""),
-        "cell.toml, line 9: cameras.left.width: invalid type: string \"wide\", expected u32"
+        "cell.toml, line 9: cameras.left.width: invalid type: string \"wide\", expected a whole number from 0 to 4294967295"
     );
     assert_eq!(
         bench.message("hmcr = 0.7", "seed = -1"),
-        "cell.toml, line 29: recognition.seed: invalid value: integer `-1`, expected u64"
+        "cell.toml, line 29: recognition.seed: invalid value: integer `-1`, expected a whole number, 0 or more"
     );
     let message = bench.message("backend = \"v4l2\"", "backend = \"usb\"");
     assert_eq!(
@@ -321,6 +321,21 @@ fn the_cell_that_comes_with_the_project_is_right() {
             assert!(slot[axis] >= workspace.min_mm[axis] && slot[axis] <= workspace.max_mm[axis], "{slot}");
         }
     }
+}
+
+#[test]
+fn numbers_are_asked_for_in_words_and_long_ones_are_cut() {
+    let source = source::Source { file: "cell.toml".into(), text: "seed = -1".into() };
+    let error = source.parse::<Seed>().unwrap_err().to_string();
+    assert!(error.ends_with("invalid value: integer `-1`, expected a whole number, 0 or more"), "{error}");
+    let long = source.refuse("seed", 1e308, "a small one").to_string();
+    assert!(long.len() < 300 && long.contains("000… is not possible; allowed: a small one"), "{long}");
+}
+
+#[derive(Debug, serde::Deserialize)]
+struct Seed {
+    #[expect(dead_code, reason = "only read")]
+    seed: u64,
 }
 
 proptest::proptest! {

@@ -7,6 +7,7 @@ use firmware_bridge::message::{Command, Refusal, Report};
 use serde::{Deserialize, Serialize};
 
 use crate::cell::core::Event;
+use crate::frame::TimestampMark;
 
 /// A topic of JSON messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,7 +68,7 @@ impl Topic {
 const PAIR_SCHEMA: &str = r#"{"title":"pickcell.Pair","type":"object","properties":{
 "number":{"type":"integer"},"name":{"type":"string"},
 "stamps_ns":{"type":"array","items":{"type":"integer"}},"sequences":{"type":"array","items":{"type":"integer"}},
-"pictures":{"type":"boolean"},"seed":{"type":"integer"},"iterations":{"type":"integer"},"parts":{"type":"integer"},
+"marks":{"type":"array","items":{"type":"string"}},"pictures":{"type":"boolean"},"seed":{"type":"integer"},"iterations":{"type":"integer"},"out_of_time":{"type":"boolean"},"parts":{"type":"integer"},
 "candidates":{"type":"array","items":{"type":"object","properties":{"part":{"type":"string"},
 "fitness":{"type":"number"},"position_mm":{"type":"array","items":{"type":"number"}},
 "orientation_xyzw":{"type":"array","items":{"type":"number"}},"opening_mm":{"type":"number"}}}},
@@ -91,6 +92,8 @@ pub struct PairRecord {
     pub stamps_ns: [i64; 2],
     /// The drivers' frame counters.
     pub sequences: [u32; 2],
+    /// What moments of the exposures the stamps are.
+    pub marks: [TimestampMark; 2],
     /// Whether its pictures are in the recording.
     pub pictures: bool,
     /// Seed of its search.
@@ -99,6 +102,9 @@ pub struct PairRecord {
     /// Iterations that the search used up: the budget of a repetition.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<u64>,
+    /// Its time was over before the recognition was through.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub out_of_time: bool,
     /// Parts recognised.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub parts: Option<usize>,

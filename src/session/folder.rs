@@ -92,6 +92,8 @@ pub(super) fn open(folder: &Path) -> Result<Session, FolderError> {
         name,
         after_ns: after_ns(index),
         pictures: pictures.map(|picture| picture.map(RecordedPicture::File)),
+        marks: Default::default(),
+        fate: None,
     };
     let pairs = names.into_iter().enumerate().map(pair).collect();
     Ok(Session {
@@ -99,6 +101,7 @@ pub(super) fn open(folder: &Path) -> Result<Session, FolderError> {
         rate_hz,
         pairs,
         arm: Vec::new(),
+        arm_lead_ns: None,
         results: Results::default(),
         broken_at: None,
     })

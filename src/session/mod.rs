@@ -8,6 +8,7 @@
 //! A recording is read through once when it is opened: its records are checked, its pictures are found, not kept. One
 //! that breaks off (a power cut, a kill) is read up to there, and says so.
 
+pub mod copy;
 pub mod events;
 mod folder;
 pub mod foxglove;
@@ -24,9 +25,9 @@ use std::time::Duration;
 pub use folder::FolderError;
 pub use picture::{PictureError, read_picture, read_raw_picture};
 pub use records::{Damage, MessageAt, MessageError, RecordingError, RecordingFile};
-pub use writer::{About, RecordingWriter, WriteError};
+pub use writer::{About, PAIR_WINDOW, RecordingWriter, WriteError};
 
-use crate::frame::{ColourEncoding, Frame};
+use crate::frame::{ColourEncoding, Frame, TimestampMark};
 use events::PairRecord;
 use firmware_bridge::link::Said;
 use foxglove::ImageKind;
@@ -107,6 +108,42 @@ pub struct RecordedPair {
     pub after_ns: i64,
     /// The pictures, left and right.
     pub pictures: [Option<RecordedPicture>; 2],
+    /// What moment of the exposure their times are, left and right.
+    pub marks: [TimestampMark; 2],
+    /// What the recorded cell did with it, where that is known.
+    pub fate: Option<Fate>,
+}
+
+/// What became of a pair in the cell that was recorded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fate {
+    /// It was recognised, or its pictures were refused.
+    Searched {
+        /// What repeats its search.
+        search: Option<RecordedSearch>,
+        /// From the older frame until the cell had decided about it, ns.
+        after_ns: i64,
+    },
+    /// The recogniser had no time for it, or the cell had ended.
+    LeftOut,
+}
+
+/// A search that can be repeated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RecordedSearch {
+    /// Its seed.
+    pub seed: u64,
+    /// Iterations that it used up.
+    pub iterations: u64,
+    /// It was stopped there, and would have gone on.
+    pub out_of_time: bool,
+}
+
+impl RecordedPair {
+    /// Whether a session that is played pair by pair has it: both pictures, and a cell that had time for it.
+    pub fn is_whole(&self) -> bool {
+        self.fate != Some(Fate::LeftOut) && self.pictures.iter().all(Option::is_some)
+    }
 }
 
 /// What a recording says about its pairs, added up.
@@ -157,6 +194,8 @@ pub struct Session {
     pub pairs: Vec<RecordedPair>,
     /// What cell and arm said to each other, in order; empty where nothing was recorded of it.
     pub arm: Vec<Said>,
+    /// From the first word of the arm to the first picture, where both are recorded, ns.
+    pub arm_lead_ns: Option<i64>,
     /// What a recording says about its pairs.
     pub results: Results,
     /// The byte at which a recording breaks off whose end is missing.

@@ -11,10 +11,10 @@ use prost::Message;
 use super::events::{CommandRecord, PairRecord, ReportRecord, Topic};
 use super::foxglove::{self, CompressedImage, ImageKind, RawImage};
 use super::records::{MessageAt, MessageError, RecordAt, RecordingError, RecordingFile};
-use super::writer::METADATA;
-use super::{RecordedPair, RecordedPicture, Results, Session};
+use super::writer::{METADATA, PAIR_WINDOW};
+use super::{Fate, RecordedPair, RecordedPicture, RecordedSearch, Results, Session};
 use crate::camera::Side;
-use crate::frame::ColourEncoding;
+use crate::frame::{ColourEncoding, TimestampMark};
 
 /// Pairs a second, where a recording has one pair only.
 const RATE_HZ: f64 = 30.0;
@@ -28,9 +28,9 @@ const PAUSE_NS_MAX: i64 = 10_000_000_000;
 
 /// A picture and when its light was seen, ns since 1970.
 #[derive(Clone, Copy, Debug)]
-struct Seen {
+pub(super) struct Seen {
     wall_ns: i64,
-    at: MessageAt,
+    pub(super) at: MessageAt,
     channel: u16,
 }
 
@@ -56,32 +56,57 @@ struct Index {
     pictures: [Vec<Seen>; 2],
     /// Names of pairs by the time stamps of their left pictures.
     names: HashMap<i64, String>,
+    /// What is known of them, by the same.
+    known: HashMap<i64, ([TimestampMark; 2], Fate)>,
     /// What cell and arm said to each other.
     arm: Vec<Said>,
     results: Results,
     /// The rate of the cell that was recorded, where the file says it.
     rate_hz: Option<f64>,
+    /// How far apart the pictures of a pair may be, where the file says it, ns.
+    window_ns: Option<i64>,
+    /// Stamps of the left pictures of pairs that were recorded without a search.
+    unsearched: Vec<i64>,
 }
 
-/// Reads through a recording.
-pub(super) fn open(path: &Path) -> Result<Session, RecordingError> {
-    let file = Arc::new(RecordingFile::open(path)?);
+/// Pictures of one moment, and when the first of them was seen, ns since 1970.
+pub(super) type Moment = (i64, [Option<Seen>; 2]);
+
+/// When its pictures were seen, in order of time.
+pub(super) fn moments(file: &RecordingFile) -> Result<Vec<Moment>, RecordingError> {
+    Ok(index(file)?.1)
+}
+
+/// What is in a file, its pictures in pairs, the rate of their stamps, and where it breaks off.
+fn index(file: &RecordingFile) -> Result<(Index, Vec<Moment>, f64, Option<u64>), RecordingError> {
     let mut index = Index::default();
-    let broken_at = file.walk(|record| index.record(&file, record))?;
+    let broken_at = file.walk(|record| index.record(file, record))?;
     index.check_names();
     let [left, right] = &mut index.pictures;
     if left.is_empty() || right.is_empty() {
-        return Err(RecordingError::NoPictures { path: path.to_owned(), topics: index.all_topics() });
+        return Err(RecordingError::NoPictures { path: file.path().to_owned(), topics: index.all_topics() });
     }
     for side in [&mut *left, &mut *right] {
         side.sort_by_key(|seen| seen.wall_ns);
     }
     let period_ns = middle_period_ns(left);
     let seen_hz = period_ns.map_or(RATE_HZ, |ns| (1e9 / ns as f64).clamp(RATE_HZ_MIN, RATE_HZ_MAX));
+    let pairs = pair_up(left, right, index.window_ns.unwrap_or(period_ns.unwrap_or(i64::MAX) / 2));
+    // The pictures of a pair for which the recogniser had no time stand alone in the file.
+    let there: HashSet<i64> = left.iter().map(|seen| seen.wall_ns).collect();
+    let kept = index.unsearched.iter().filter(|stamp_ns| there.contains(stamp_ns)).count();
+    index.results.without_pictures = index.results.without_pictures.saturating_sub(kept as u64);
+    Ok((index, pairs, seen_hz, broken_at))
+}
+
+/// Reads through a recording.
+pub(super) fn open(path: &Path) -> Result<Session, RecordingError> {
+    let file = Arc::new(RecordingFile::open(path)?);
+    let (index, pairs, seen_hz, broken_at) = index(&file)?;
     let rate_hz = index.rate_hz.unwrap_or(seen_hz);
-    let pairs = pair_up(left, right, period_ns.unwrap_or(i64::MAX) / 2);
     let mut after = 0;
     let mut previous_ns = pairs.first().map_or(0, |(wall_ns, _)| *wall_ns);
+    let first_ns = previous_ns;
     let mut after_ns = |wall_ns: i64| {
         after += wall_ns.saturating_sub(previous_ns).clamp(0, PAUSE_NS_MAX);
         previous_ns = wall_ns;
@@ -97,15 +122,28 @@ pub(super) fn open(path: &Path) -> Result<Session, RecordingError> {
             encoding: channel.encoding,
         }
     };
-    let mut pair = |(i, (wall_ns, pictures)): (usize, (i64, [Option<Seen>; 2]))| RecordedPair {
+    let known = |pictures: &[Option<Seen>; 2]| pictures[0].and_then(|left| index.known.get(&left.wall_ns));
+    let arm_lead_ns =
+        index.arm.first().map(|said| first_ns.saturating_sub(said.at_ns).clamp(0, PAUSE_NS_MAX));
+    let mut pair = |(i, (wall_ns, pictures)): (usize, Moment)| RecordedPair {
         name: pictures[0]
             .and_then(|left| index.names.get(&left.wall_ns).cloned())
             .unwrap_or_else(|| format!("{:06}", i + 1)),
         after_ns: after_ns(wall_ns),
         pictures: pictures.map(|seen| seen.map(picture)),
+        marks: known(&pictures).map_or_else(Default::default, |known| known.0),
+        fate: known(&pictures).map(|known| known.1),
     };
     let pairs = pairs.into_iter().enumerate().map(&mut pair).collect();
-    Ok(Session { path: path.to_owned(), rate_hz, pairs, arm: index.arm, results: index.results, broken_at })
+    Ok(Session {
+        path: path.to_owned(),
+        rate_hz,
+        pairs,
+        arm: index.arm,
+        arm_lead_ns,
+        results: index.results,
+        broken_at,
+    })
 }
 
 impl Index {
@@ -136,6 +174,9 @@ impl Index {
             Record::Metadata(about) if about.name == METADATA => {
                 let rate_hz = about.metadata.get("rate_hz").and_then(|text| text.parse().ok());
                 self.rate_hz = rate_hz.filter(|hz: &f64| (RATE_HZ_MIN..=RATE_HZ_MAX).contains(hz));
+                let window_ms = about.metadata.get(PAIR_WINDOW).and_then(|text| text.parse().ok());
+                let window_ms = window_ms.filter(|ms: &f64| (0.0..=1e6).contains(ms));
+                self.window_ns = window_ms.map(|ms| (ms * 1e6) as i64);
             }
             Record::Message { header, data } => {
                 let Some(channel) = self.channels.get(&header.channel_id) else { return Ok(()) };
@@ -161,6 +202,10 @@ impl Index {
                     Some(Topic::Pair) => {
                         let pair: PairRecord = serde_json::from_slice(&data).map_err(|e| bad(e.into()))?;
                         self.results.add(&pair);
+                        if !pair.pictures {
+                            self.unsearched.push(pair.stamps_ns[0]);
+                        }
+                        self.known.insert(pair.stamps_ns[0], (pair.marks, fate(&pair, at_ns)));
                         self.names.insert(pair.stamps_ns[0], pair.name);
                     }
                     Some(Topic::Command) => {
@@ -203,6 +248,19 @@ impl Index {
     }
 }
 
+/// What the cell did with a pair that it was finished with at `at_ns`.
+fn fate(pair: &PairRecord, at_ns: i64) -> Fate {
+    let search = pair.seed.zip(pair.iterations).map(|(seed, iterations)| {
+        let out_of_time = pair.out_of_time;
+        RecordedSearch { seed, iterations, out_of_time }
+    });
+    if search.is_none() && pair.error.is_none() {
+        return Fate::LeftOut;
+    }
+    let [left, right] = pair.stamps_ns;
+    Fate::Searched { search, after_ns: at_ns.saturating_sub(left.min(right)).clamp(0, PAUSE_NS_MAX) }
+}
+
 /// The camera that a topic belongs to.
 fn side_of(topic: &str) -> Option<Side> {
     let topic = topic.to_ascii_lowercase();
@@ -232,7 +290,7 @@ fn middle_period_ns(pictures: &[Seen]) -> Option<i64> {
 }
 
 /// Pictures of both sides that are at most `window_ns` apart, and those that are alone, in order of time.
-fn pair_up(left: &[Seen], right: &[Seen], window_ns: i64) -> Vec<(i64, [Option<Seen>; 2])> {
+fn pair_up(left: &[Seen], right: &[Seen], window_ns: i64) -> Vec<Moment> {
     let mut pairs = Vec::with_capacity(left.len());
     let (mut lefts, mut rights) = (left.iter().copied().peekable(), right.iter().copied().peekable());
     loop {

@@ -49,7 +49,8 @@ pub enum RecordingError {
         path: PathBuf,
     },
     /// Not what was written.
-    #[error("{}: damaged at byte {at_byte}: {reason}; fetch the file again from where it was recorded", path.display())]
+    #[error("{}: damaged at byte {at_byte}: {reason}; fetch the file again from where it was recorded, or copy what can be read of it with \
+         `pickcell session recover`", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -109,7 +110,7 @@ pub enum Damage {
 }
 
 /// Where a message stands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct MessageAt {
     /// Where its record, or the chunk that it is in, begins.
     pub byte: u64,
@@ -176,14 +177,14 @@ impl RecordingFile {
     ///
     /// # Errors
     /// It cannot be read, is damaged although its end is there, or the first error of `each`.
-    pub fn walk(
+    pub fn walk<E: From<RecordingError>>(
         &self,
-        mut each: impl FnMut(RecordAt<'_>) -> Result<(), RecordingError>,
-    ) -> Result<Option<u64>, RecordingError> {
+        mut each: impl FnMut(RecordAt<'_>) -> Result<(), E>,
+    ) -> Result<Option<u64>, E> {
         let mut at = MAGIC.len() as u64;
         let mut record = Vec::new();
         loop {
-            let Some((opcode, body_bytes)) = self.head(at)? else { return self.broken(at) };
+            let Some((opcode, body_bytes)) = self.head(at)? else { return Ok(self.broken(at)?) };
             match opcode {
                 op::DATA_END => return Ok((!self.has_end()?).then_some(self.bytes)),
                 op::ATTACHMENT | op::MESSAGE_INDEX => {}
@@ -192,7 +193,62 @@ impl RecordingFile {
                     match loaded.and_then(|()| self.unpack(at, &record, &mut each)) {
                         // Of the last pages a power cut may leave zeros, in the middle of a record too.
                         Err(RecordingError::Damaged { .. }) if !self.has_end()? => return Ok(Some(at)),
-                        shown => shown?,
+                        shown => shown??,
+                    }
+                }
+            }
+            at += HEAD_BYTES + body_bytes;
+        }
+    }
+
+    /// Shows the attachments, up to the end of the data or the place where the file breaks off.
+    ///
+    /// # Errors
+    /// It cannot be read, an attachment is damaged, or the first error of `each`.
+    pub fn attachments<E: From<RecordingError>>(
+        &self,
+        mut each: impl FnMut(RecordAt<'_>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let mut at = MAGIC.len() as u64;
+        let mut record = Vec::new();
+        while let Some((opcode, body_bytes)) = self.head(at)?.filter(|&(opcode, _)| opcode != op::DATA_END) {
+            if opcode == op::ATTACHMENT {
+                self.load(at, body_bytes, &mut record)?;
+                self.unpack(at, &record, &mut each)??;
+            }
+            at += HEAD_BYTES + body_bytes;
+        }
+        Ok(())
+    }
+
+    /// Shows every record that can be read, attachments too, wherever the file is damaged. Gives the bytes at which
+    /// something is lost; the last of them, and all behind it, where the file breaks off.
+    ///
+    /// # Errors
+    /// The file cannot be read, or the first error of `each`.
+    pub fn salvage<E: From<RecordingError>>(
+        &self,
+        mut each: impl FnMut(RecordAt<'_>) -> Result<(), E>,
+    ) -> Result<Vec<u64>, E> {
+        let mut at = MAGIC.len() as u64;
+        let (mut record, mut lost) = (Vec::new(), Vec::new());
+        loop {
+            let Some((opcode, body_bytes)) = self.head(at)? else {
+                lost.push(at);
+                return Ok(lost);
+            };
+            match opcode {
+                op::DATA_END if self.has_end()? => return Ok(lost),
+                op::DATA_END => {
+                    lost.push(at);
+                    return Ok(lost);
+                }
+                op::MESSAGE_INDEX => {}
+                _ => {
+                    let loaded = self.load(at, body_bytes, &mut record);
+                    match loaded.and_then(|()| self.unpack(at, &record, &mut each)) {
+                        Err(RecordingError::Damaged { .. }) => lost.push(at),
+                        shown => shown??,
                     }
                 }
             }
@@ -215,8 +271,8 @@ impl RecordingFile {
                     if let Record::Message { data, .. } = record {
                         messages.push(data.into_owned());
                     }
-                    Ok(())
-                })?;
+                    Ok::<_, RecordingError>(())
+                })??;
             }
             *last = Unpacked { byte: wanted.byte, messages };
         }
@@ -271,18 +327,18 @@ impl RecordingFile {
         RecordingError::Damaged { path: self.path.clone(), at_byte, reason }
     }
 
-    /// Shows a record, or those in it.
-    fn unpack(
+    /// Shows a record, or those in it; gives what `each` said about them.
+    fn unpack<E>(
         &self,
         byte: u64,
         record: &[u8],
-        each: &mut impl FnMut(RecordAt<'_>) -> Result<(), RecordingError>,
-    ) -> Result<(), RecordingError> {
+        each: &mut impl FnMut(RecordAt<'_>) -> Result<(), E>,
+    ) -> Result<Result<(), E>, RecordingError> {
         let damaged = |reason: Damage| self.damaged(byte, reason);
         let (opcode, body) = (record[0], &record[HEAD_BYTES as usize..]);
         let parsed = parse_record(opcode, body).map_err(|e| damaged(e.into()))?;
         let Record::Chunk { header, data } = parsed else {
-            return each(RecordAt { at: MessageAt { byte, index: 0 }, record: parsed });
+            return Ok(each(RecordAt { at: MessageAt { byte, index: 0 }, record: parsed }));
         };
         check_chunk(&header, &data).map_err(damaged)?;
         let bytes_max = body.len().max(header.uncompressed_size as usize);
@@ -305,12 +361,14 @@ impl RecordingFile {
                 LinearReadEvent::Record { opcode, data } => {
                     let record = parse_inner(opcode, data).map_err(damaged)?;
                     let is_message = matches!(record, Record::Message { .. });
-                    each(RecordAt { at: MessageAt { byte, index }, record })?;
+                    if let Err(own) = each(RecordAt { at: MessageAt { byte, index }, record }) {
+                        return Ok(Err(own));
+                    }
                     index += u32::from(is_message);
                 }
             }
         }
-        Ok(())
+        Ok(Ok(()))
     }
 }
 

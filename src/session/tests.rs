@@ -222,6 +222,54 @@ fn a_picture_of_a_recording_must_be_whole_and_in_a_format_of_cameras() {
 
 proptest::proptest! {
     #![proptest_config(proptest::prelude::ProptestConfig { cases: 200, ..Default::default() })]
+    /// Behind whatever checksums: pictures, results and words of the arm that are not what their schemas promise.
+    #[test]
+    fn no_message_makes_reader_or_copier_panic_or_hang(
+        changes in proptest::collection::vec((0..4usize, 0.0..1.0f64, 0..9usize, ".{0,3}"), 1..8),
+        seconds in (-1.0..2.0f64, -1.0..2.0f64),
+    ) {
+        use super::events::Topic;
+        let stamp = Some(timestamp(WALL_NS));
+        let pair = events::PairRecord {
+            stamps_ns: [WALL_NS; 2], seed: Some(1), iterations: Some(2), name: "p".into(), ..Default::default()
+        };
+        let report = firmware_bridge::message::Report::Done { id: 1 };
+        let mut messages = [
+            CompressedImage { timestamp: stamp, format: "jpeg".into(), data: jpeg(), ..Default::default() }.encode_to_vec(),
+            raw("mono8", 8, 8, 8, vec![1; 64]),
+            serde_json::to_vec(&pair).unwrap(),
+            serde_json::to_vec(&events::ReportRecord { report }).unwrap(),
+        ];
+        for (which, at, removed, put) in changes {
+            let message = &mut messages[which];
+            let at = (at * message.len() as f64) as usize;
+            let end = (at + removed).min(message.len());
+            message.splice(at..end, put.into_bytes());
+        }
+        let mut file = Foreign::new(Some(Compression::Lz4));
+        let topics = [
+            file.topic("/left", "foxglove.CompressedImage", "protobuf"),
+            file.topic("/right", "foxglove.RawImage", "protobuf"),
+            file.topic("/pair", Topic::Pair.schema_name(), "json"),
+            file.topic("/arm/report", Topic::Report.schema_name(), "json"),
+        ];
+        for i in 0..4 {
+            for (topic, message) in topics.into_iter().zip(&messages) {
+                file.message(topic, i * 50_000_000, message);
+            }
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let path = write(folder.path(), "x.mcap", &file.bytes());
+        if let Ok(session) = Session::open(&path) {
+            for picture in session.pairs.iter().flat_map(|pair| pair.pictures.iter().flatten()) {
+                let _ = picture.read_raw();
+            }
+        }
+        let _ = copy::cut(&path, seconds, &folder.path().join("piece.mcap"));
+        let copied = copy::recover(&path, &folder.path().join("all.mcap")).unwrap();
+        proptest::prop_assert_eq!(copied.messages, 16);
+    }
+
     #[test]
     fn no_change_of_bytes_makes_the_reader_panic_or_hang(
         compression in 0..3usize,
@@ -239,5 +287,7 @@ proptest::proptest! {
                 let _ = picture.read();
             }
         }
+        let _ = copy::recover(&folder.path().join("x.mcap"), &folder.path().join("y.mcap"));
+        let _ = copy::cut(&folder.path().join("x.mcap"), (0.0, 0.1), &folder.path().join("z.mcap"));
     }
 }

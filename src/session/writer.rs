@@ -29,6 +29,9 @@ pub(super) const CHUNK_BYTES: u64 = 256 << 10;
 /// Name of the metadata record.
 pub(super) const METADATA: &str = "pickcell";
 
+/// Its entry for how far apart the frames of a pair may be in the cell that was recorded, ms.
+pub const PAIR_WINDOW: &str = "pair_window_ms";
+
 /// A recording that cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub enum WriteError {
@@ -275,7 +278,7 @@ type Begun = (mcap::Writer<BufWriter<File>>, [u16; Topic::ALL.len()]);
 /// What stands in front: metadata, files, the channels of the records.
 fn begin(mut writer: mcap::Writer<BufWriter<File>>, about: &About) -> Result<Begun, McapError> {
     let mut metadata = about.metadata.clone();
-    metadata.insert("wall_from_monotonic_ns".into(), about.wall_from_cell_ns.to_string());
+    metadata.insert("wall_from_cell_ns".into(), about.wall_from_cell_ns.to_string());
     writer.write_metadata(&mcap::records::Metadata { name: METADATA.into(), metadata })?;
     for (name, content) in &about.files {
         writer.attach(&Attachment {

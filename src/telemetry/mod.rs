@@ -85,6 +85,7 @@ pub struct Telemetry {
     no_picks: [AtomicU64; NoPick::KINDS.len()],
     unshown: AtomicU64,
     unlogged: AtomicU64,
+    unkept: AtomicU64,
 }
 
 impl Telemetry {
@@ -96,6 +97,7 @@ impl Telemetry {
             no_picks: std::array::from_fn(|_| AtomicU64::new(0)),
             unshown: AtomicU64::new(0),
             unlogged: AtomicU64::new(0),
+            unkept: AtomicU64::new(0),
         }
     }
 
@@ -145,6 +147,16 @@ impl Telemetry {
     /// Events that are not in the recording for want of room.
     pub fn unlogged(&self) -> u64 {
         self.unlogged.load(Ordering::Relaxed)
+    }
+
+    /// A frame that led to no search was to be recorded, but there was no room for it.
+    pub fn add_unkept(&self) {
+        self.unkept.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Frames without a search that are not in the recording for want of room.
+    pub fn unkept(&self) -> u64 {
+        self.unkept.load(Ordering::Relaxed)
     }
 
     /// Pairs without a picture for want of room.

@@ -231,6 +231,26 @@ def check_formats(folder, kind, formats):
     return failed
 
 
+def check_suspend(folder):
+    """Suspends the guest to RAM under the cell; gives what went wrong. Its arm may resume by itself, but not after that."""
+    job = folder / "job-suspend"
+    job.mkdir()
+    shutil.copy(PROJECT / "target/release/pickcell", job)
+    for file in ["cell.toml", "guest-suspend.sh"]:
+        shutil.copy(PROJECT / "tests/vm" / file, job)
+    shutil.copy(SCENES / "calibration.yaml", job)
+    shutil.copy(SCENES / "../parts/rod-90.toml", job)
+    said = subprocess.run([VM, "--vivid", "--timeout", "60", job, "--", "sh", "guest-suspend.sh"], stdout=subprocess.PIPE, text=True).stdout
+    _, slept, after = said.partition("the machine was suspended for ")
+    wanted = ["arm on hold", "left camera delivers again", "right camera delivers again", "too late"]
+    missing = [words for words in wanted if words not in after]
+    if not slept or missing or "arm released" in after or "exit code 0" not in said:
+        print(f"suspend: FAILED, missing {missing or 'nothing else'}:\n{said}", flush=True)
+        return ["suspend"]
+    print(f"suspend: {after.split(';')[0]} noticed, the arm is on hold, what was seen before is too late", flush=True)
+    return []
+
+
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--short", action="store_true", help="fewer faults, for CI")
@@ -246,6 +266,7 @@ def main():
         for code in ["YUYV", "MJPG", "GREY"]:
             failed += check_formats(folder, "loopback", [code])
             shutil.rmtree(folder / "job-loopback")
+        failed += check_suspend(folder)
     arm = Arm(folder)
     guest = Guest(folder, arm, names, limit_s=240 if options.short else 420)
     targets = 0

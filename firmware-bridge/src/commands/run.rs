@@ -4,7 +4,7 @@ use super::Failure;
 use clap::Args;
 use firmware_bridge::config::Settings;
 use firmware_bridge::link::shared::{BridgeEnd, CellRecord, Ports, Side};
-use firmware_bridge::link::{SerialLink, life_number, monotonic_ns, wait_for};
+use firmware_bridge::link::{SerialLink, clock_ns, life_number, wait_for};
 use firmware_bridge::message::{Command, Report};
 use firmware_bridge::realtime::{self, ArmThread, Granted};
 use rustix::fd::AsFd;
@@ -63,7 +63,7 @@ impl Bridge {
     /// Carries until a signal comes or the arm turns out to be another one.
     fn serve(&mut self, signals: &UnixStream) -> Result<(), Failure> {
         while !super::signalled(signals) {
-            let now_ns = monotonic_ns();
+            let now_ns = clock_ns();
             let arm = &mut self.arm;
             let mut carry = |command: Command| {
                 tracing::debug!(?command, "carried");
@@ -111,10 +111,10 @@ impl Bridge {
 
     /// The arm holds before the bridge goes, whatever it was doing.
     fn say_farewell(&mut self) {
-        let start_ns = monotonic_ns();
+        let start_ns = clock_ns();
         let _ = self.arm.command(Command::Hold, start_ns);
         loop {
-            let now_ns = monotonic_ns();
+            let now_ns = clock_ns();
             let mut held = false;
             while let Some(report) = self.arm.poll(now_ns) {
                 held |= matches!(

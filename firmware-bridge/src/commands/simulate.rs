@@ -3,7 +3,7 @@
 use super::{Failure, Format};
 use clap::Args;
 use firmware_bridge::config::DialectName;
-use firmware_bridge::link::{monotonic_ns, wait_for};
+use firmware_bridge::link::{clock_ns, wait_for};
 use firmware_bridge::simulate::{Fault, Faults, Motion, SimulatedArm};
 use rustix::fd::{AsFd, OwnedFd};
 use rustix::fs::{Mode, OFlags};
@@ -109,13 +109,13 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         SimulatedArm::new(arguments.dialect, park_mm, Faults::new(arguments.seed, &arguments.faults));
     tracing::info!(link = %pty.link.display(), device = %pty.device.display(), "the arm listens");
     let byte_ns = 10_000_000_000 / i64::from(arguments.baud);
-    let start_ns = monotonic_ns();
+    let start_ns = clock_ns();
     let mut line_free_ns = start_ns;
     let mut bytes = [0; 256];
     let mut holds_part = false;
     let mut placed: Option<Child> = None;
     while !super::signalled(&signals) {
-        let now_ns = monotonic_ns();
+        let now_ns = clock_ns();
         match rustix::io::read(&pty.master, &mut bytes) {
             Ok(len) => arm.on_bytes(&bytes[..len], now_ns),
             Err(Errno::AGAIN | Errno::INTR) => {}

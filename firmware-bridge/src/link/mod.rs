@@ -8,14 +8,14 @@
 //! - `next_deadline_ns()`: the latest moment to call `poll` again if nothing arrives.
 //!
 //! ```no_run
-//! # use firmware_bridge::{config::Settings, link::{Link, monotonic_ns}};
+//! # use firmware_bridge::{config::Settings, link::{Link, clock_ns}};
 //! let settings = Settings::read("cell.toml".as_ref())?;
 //! let mut link = Link::open(&settings, 4711)?;
 //! loop {
-//!     while let Some(report) = link.poll(monotonic_ns()) {
+//!     while let Some(report) = link.poll(clock_ns()) {
 //!         println!("{report:?}");
 //!     }
-//!     link.wait(monotonic_ns() + 10_000_000, None);
+//!     link.wait(clock_ns() + 10_000_000, None);
 //! }
 //! # #[allow(unreachable_code)]
 //! # Ok::<(), Box<dyn std::error::Error>>(())
@@ -132,20 +132,21 @@ impl Link {
 /// A number that differs between processes and between two openings of one: what begins with it (sessions, lives) is
 /// never taken for what was before. `seed` alone would not do, a caller may always give the same.
 pub fn life_number(seed: u32) -> u32 {
-    let time = monotonic_ns() as u64 ^ u64::from(std::process::id()) << 40 ^ u64::from(seed) << 20;
+    let time = clock_ns() as u64 ^ u64::from(std::process::id()) << 40 ^ u64::from(seed) << 20;
     // Fibonacci hashing spreads neighbours.
     (time.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 32) as u32
 }
 
-/// Nanoseconds of `CLOCK_MONOTONIC`.
-pub fn monotonic_ns() -> i64 {
-    let t = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
+/// The cell's clock: nanoseconds of `CLOCK_BOOTTIME`. Unlike `CLOCK_MONOTONIC` it goes on while the machine is
+/// suspended, so that whatever waited through a suspend is as old as it is: targets are stale, heartbeats are missed.
+pub fn clock_ns() -> i64 {
+    let t = rustix::time::clock_gettime(rustix::time::ClockId::Boottime);
     t.tv_sec * 1_000_000_000 + t.tv_nsec
 }
 
 /// Sleeps until one of `fds` (at most four) can be read or `until_ns` has come.
 pub fn wait_for(fds: &[Option<BorrowedFd<'_>>], until_ns: i64) {
-    let left_ns = until_ns.saturating_sub(monotonic_ns()).clamp(0, 3_600_000_000_000);
+    let left_ns = until_ns.saturating_sub(clock_ns()).clamp(0, 3_600_000_000_000);
     let timeout =
         rustix::event::Timespec { tv_sec: left_ns / 1_000_000_000, tv_nsec: left_ns % 1_000_000_000 };
     // Without a descriptor there is still a time to sleep; any open one fills the unused places.

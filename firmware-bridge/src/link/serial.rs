@@ -102,7 +102,7 @@ impl SerialLink {
             reopen_ns: 0,
             reopen_pause_ns: i64::from(arm.reopen_min_ms) * MS,
         };
-        link.dialect.on_link(true, super::monotonic_ns());
+        link.dialect.on_link(true, super::clock_ns());
         Ok(link)
     }
 
@@ -148,7 +148,7 @@ impl SerialLink {
         }
         if self.rest_from < self.rest_to {
             // The kernel's buffer is full: nobody reads at the other end.
-            return Some(super::monotonic_ns() + 5 * MS);
+            return Some(super::clock_ns() + 5 * MS);
         }
         // What is due while the line is busy waits for the line; a hold never does, it goes out in `command`.
         Some(dialect_ns.max(self.free_ns))
@@ -246,7 +246,7 @@ pub(super) mod tests {
     use super::*;
     use crate::codec::{Decoder, ToArm, ToArmBody};
     use crate::gate::tests::settings;
-    use crate::link::monotonic_ns;
+    use crate::link::clock_ns;
     use rustix::fd::OwnedFd;
     use rustix::fs::OFlags;
     use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
@@ -293,16 +293,16 @@ pub(super) mod tests {
         let mut link = SerialLink::open(&settings, 1).unwrap();
         let mut bytes = [0; 64];
         // A hello is on the line.
-        assert_eq!(link.poll(monotonic_ns()), None);
+        assert_eq!(link.poll(clock_ns()), None);
         assert!(rustix::io::read(&master, &mut bytes).unwrap() > 8);
         drop(master);
-        link.poll(monotonic_ns());
+        link.poll(clock_ns());
         assert!(link.fd().is_none(), "the loss is noticed at once");
         let (master, path) = pty();
         std::fs::remove_file(&stable).unwrap();
         std::os::unix::fs::symlink(&path, &stable).unwrap();
         // Time is an argument: the pause is over.
-        let mut now_ns = monotonic_ns() + 30 * MS;
+        let mut now_ns = clock_ns() + 30 * MS;
         link.poll(now_ns);
         assert!(link.fd().is_some());
         now_ns += MS;
@@ -319,13 +319,13 @@ pub(super) mod tests {
         let mut link = SerialLink::open(&settings, 1).unwrap();
         // Hellos until the pty holds no more (how many that are is the kernel's affair), and nobody reads.
         for step in 0..100_000 {
-            link.poll(monotonic_ns() + step * 11 * MS);
+            link.poll(clock_ns() + step * 11 * MS);
             if link.rest_from < link.rest_to {
                 break;
             }
         }
         assert!(link.rest_from < link.rest_to, "the pty is full");
-        link.command(Command::Hold, monotonic_ns() + 2_000_000 * MS).unwrap();
+        link.command(Command::Hold, clock_ns() + 2_000_000 * MS).unwrap();
         assert_eq!(link.rest_from, link.rest_to, "the hold is with the kernel");
         // What the reader's end has taken already stays before it; a real line has no such store.
         rustix::fs::fcntl_setfl(&master, OFlags::NONBLOCK).unwrap();

@@ -167,6 +167,25 @@ fn a_hold_goes_out_within_50_ms_with_a_pick_half_written() {
 }
 
 #[test]
+fn a_pick_that_waited_through_a_suspend_never_begins() {
+    for_all(|bench, dialect| {
+        bench.make_ready();
+        let pick = bench.pick(1);
+        // Taken by the link, while no byte of it is on the wire yet.
+        bench.cell.command(Command::Pick(pick), bench.now_ns).unwrap();
+        bench.now_ns += 3_600_000 * MS;
+        let woken_ns = bench.now_ns;
+        bench.run(30_000 * MS);
+        let grasp_mm = pick.grasp.position_mm;
+        assert!(bench.begun(woken_ns).iter().all(|(_, to_mm)| *to_mm != grasp_mm), "{dialect:?}");
+        let ends = bench.reports.iter().filter(|(_, r)| {
+            matches!(r, Report::Refused { id: 1, .. } | Report::Failed { id: 1, .. } | Report::Lost { id: 1 })
+        });
+        assert_eq!(ends.count(), 1, "{dialect:?}: {}", bench.tail());
+    });
+}
+
+#[test]
 fn a_lost_link_loses_the_pick_and_the_next_session_begins_on_hold() {
     for_all(|bench, dialect| {
         bench.make_ready();

@@ -124,6 +124,14 @@ pub fn stable_paths(node: &Path) -> Vec<PathBuf> {
     found
 }
 
+/// What to write in place of a path that is a number of the kernel's, which changes when cameras are plugged in anew;
+/// `None` where the path is none.
+pub fn better_path(device: &Path) -> Option<String> {
+    let is_number = device.to_str().is_some_and(|path| path.starts_with("/dev/video"));
+    let stable = || stable_paths(device).first().map(|path| path.display().to_string());
+    is_number.then(|| stable().unwrap_or_else(|| "a path under /dev/v4l/by-path".into()))
+}
+
 /// Where the device of a node hangs on USB.
 pub fn usb_port(node: &Path) -> Option<UsbPort> {
     let real = fs::canonicalize(node).ok()?;

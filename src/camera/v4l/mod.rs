@@ -26,7 +26,7 @@ use std::time::Duration;
 use crate::camera::{Condition, Grab, Trouble};
 use crate::config::CameraSettings;
 use crate::frame::{ColourEncoding, Frame, TimestampMark};
-use crate::time::Timestamp;
+use crate::time::{Clocks, Sleep, Timestamp};
 use buffers::{Buffers, Filled};
 use device::{Device, DriverFormat, Readiness};
 pub use error::CameraError;
@@ -74,6 +74,7 @@ pub struct V4lCamera {
     was_lost: bool,
     unknown_clock_told: bool,
     told: Option<String>,
+    sleep: Sleep,
 }
 
 impl V4lCamera {
@@ -108,6 +109,7 @@ impl V4lCamera {
             was_lost: false,
             unknown_clock_told: false,
             told: None,
+            sleep: Sleep::until_now(Clocks::now),
         })
     }
 
@@ -164,7 +166,14 @@ impl V4lCamera {
             Ok(None) => return self.lose(Trouble::Stalled),
             Err(error) => return self.lose(trouble(&error)),
         };
-        stream.quiet_until = Timestamp::now().after(stall_after(&self.settings));
+        // After the buffer was taken, so that none of before a suspend gets a stamp of after it. The camera may have lost
+        // its power and its controls, and what waits in the driver may be of before.
+        let clocks = Clocks::now();
+        if self.sleep.look(clocks).is_some() {
+            return self.lose(Trouble::Suspended);
+        }
+        let now = clocks.cell;
+        stream.quiet_until = now.after(stall_after(&self.settings));
         if std::mem::take(&mut self.was_lost) {
             self.pause = REOPEN_PAUSE.0;
             self.told = None;
@@ -174,7 +183,7 @@ impl V4lCamera {
                 Err(error) => self.lose(trouble(&error)),
             };
         }
-        let (_, mark) = stream.stamp(&taken.buffer, Timestamp::now());
+        let (stamp, mark) = stamp(&taken.buffer, &self.sleep, stream.began, now);
         if mark == TimestampMark::HandedOver {
             if !std::mem::replace(&mut self.unknown_clock_told, true) {
                 let device = self.settings.device.display();
@@ -189,6 +198,7 @@ impl V4lCamera {
             }
         }
         let grab = Grab::Frame { condition: taken.condition, skipped: taken.skipped };
+        (frame.timestamp, frame.mark) = (stamp, mark);
         match stream.copy(taken, &self.settings, frame) {
             Ok(()) => grab,
             // The frame is copied and good; the next grab will find out what is wrong with the camera.
@@ -303,7 +313,6 @@ impl Stream {
         frame.stride_bytes = self.rows.map_or(0, |rows| rows.row_bytes);
         frame.encoding = self.encoding;
         frame.sequence = taken.buffer.sequence;
-        (frame.timestamp, frame.mark) = self.stamp(&taken.buffer, Timestamp::now());
         match (taken.condition, self.rows) {
             (Condition::Good, Some(rows)) => rows.copy(bytes, &mut frame.bytes),
             (Condition::Good, None) => {
@@ -315,10 +324,6 @@ impl Stream {
         self.give_back(taken.buffer)
     }
 
-    fn stamp(&self, filled: &Filled, now: Timestamp) -> (Timestamp, TimestampMark) {
-        stamp(filled, self.began, now)
-    }
-
     fn give_back(&mut self, buffer: Filled) -> io::Result<()> {
         self.buffers.queue(&self.device, buffer)
     }
@@ -327,10 +332,10 @@ impl Stream {
 /// When the light was seen, and what moment of the exposure that is, in a stream that `began` then. However old a frame
 /// is, it is not older than its stream: a stamp of long ago is the true one of a frame that waited while the process
 /// stood still, and must not make it young.
-fn stamp(filled: &Filled, began: Timestamp, now: Timestamp) -> (Timestamp, TimestampMark) {
+fn stamp(filled: &Filled, sleep: &Sleep, began: Timestamp, now: Timestamp) -> (Timestamp, TimestampMark) {
     let of_its_clock =
         |stamp: &Timestamp| began.since(*stamp) <= STAMP_OFF_NS_MAX && stamp.since(now) <= STAMP_OFF_NS_MAX;
-    match filled.monotonic_ns.map(Timestamp).filter(of_its_clock) {
+    match filled.monotonic_ns.map(|ns| sleep.cell_time(ns)).filter(of_its_clock) {
         Some(stamp) if filled.start_of_exposure => (stamp, TimestampMark::StartOfExposure),
         Some(stamp) => (stamp, TimestampMark::EndOfFrame),
         None => (now, TimestampMark::HandedOver),
@@ -429,7 +434,8 @@ mod tests {
     #[test]
     fn a_stamp_is_the_drivers_where_its_clock_is_known() {
         let (began, now) = (Timestamp(5_000_000_000), Timestamp(50_000_000_000));
-        let stamp = |at, start| stamp(&Filled::stamped(at, start), began, now);
+        let sleep = never_slept();
+        let stamp = |at, start| stamp(&Filled::stamped(at, start), &sleep, began, now);
         let of_dequeue = (now, TimestampMark::HandedOver);
         assert_eq!(
             stamp(Some(49_980_000_000), true),
@@ -445,6 +451,25 @@ mod tests {
     fn a_frame_that_waited_while_the_process_stood_still_stays_old() {
         let (began, now) = (Timestamp(5_000_000_000), Timestamp(500_000_000_000));
         let waited = Filled::stamped(Some(6_000_000_000), false);
-        assert_eq!(stamp(&waited, began, now), (Timestamp(6_000_000_000), TimestampMark::EndOfFrame));
+        assert_eq!(
+            stamp(&waited, &never_slept(), began, now),
+            (Timestamp(6_000_000_000), TimestampMark::EndOfFrame)
+        );
+    }
+
+    #[test]
+    fn a_stamp_of_a_machine_that_was_suspended_is_on_the_cells_clock() {
+        let sleep =
+            Sleep::until_now(|| Clocks { cell: Timestamp(3_605_000_000_000), monotonic_ns: 5_000_000_000 });
+        let (began, now) = (Timestamp(3_604_000_000_000), Timestamp(3_605_000_000_000));
+        let filled = Filled::stamped(Some(4_980_000_000), false);
+        assert_eq!(
+            stamp(&filled, &sleep, began, now),
+            (Timestamp(3_604_980_000_000), TimestampMark::EndOfFrame)
+        );
+    }
+
+    fn never_slept() -> Sleep {
+        Sleep::until_now(|| Clocks { cell: Timestamp(0), monotonic_ns: 0 })
     }
 }

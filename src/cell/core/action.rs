@@ -264,6 +264,11 @@ pub enum Alarm {
     },
     /// What answers is no arm of this dialect.
     WrongDialect,
+    /// The machine was suspended to RAM; the arm is told to hold, and only the operator releases it.
+    Suspended {
+        /// For so long, rounded up.
+        seconds: u64,
+    },
     /// A release that came while there was nothing to release.
     NothingToRelease,
 }
@@ -312,6 +317,11 @@ impl std::fmt::Display for Alarm {
             Alarm::WrongDialect => {
                 write!(f, "what answers is no arm of this dialect; check arm.dialect and arm.port")
             }
+            Alarm::Suspended { seconds } => write!(
+                f,
+                "the machine was suspended for {seconds} s; the arm is told to hold: look at the cell, then release it \
+                 with SIGUSR1. `systemctl mask sleep.target suspend.target` keeps the machine awake"
+            ),
             Alarm::NothingToRelease => write!(f, "release without effect: no arm is on hold"),
         }
     }

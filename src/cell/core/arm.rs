@@ -287,6 +287,24 @@ impl Core {
         self.place.arm_lost();
     }
 
+    /// After a suspend nothing is known of the arm: its heartbeat stopped, it went on to the end of its move or holds, and
+    /// reports are gone. It is told to hold, and a new session begins. Hours may have passed and hands be in the cell: it
+    /// moves on the operator's word only, whatever `resume` says.
+    pub(super) fn arm_was_suspended(&mut self, now: Timestamp, actions: &mut Actions) {
+        if matches!(self.phase, Phase::Stopping(_) | Phase::Ended) {
+            return;
+        }
+        self.arm.held_by_operator = true;
+        self.arm.release_wanted = false;
+        let still_awaited = self.arm.silent_at.is_some();
+        self.arm.silent_at = still_awaited.then_some(Timestamp(now.0.saturating_add(SILENT_NS)));
+        if self.arm.is_connected() {
+            actions.push(Action::Arm(Command::Hold));
+            actions.push(Action::Arm(Command::Hello));
+            self.arm_gone(now, actions);
+        }
+    }
+
     fn wrong_arm(&mut self, alarm: Alarm, now: Timestamp, actions: &mut Actions) {
         actions.say(Note::Alarm(alarm));
         if self.arm.ever_connected {

@@ -57,6 +57,11 @@ pub enum Event {
     NotPersisted,
     /// The operator wants something.
     Operator(Operator),
+    /// The machine was suspended to RAM for so long; it goes on now.
+    Suspended {
+        /// On the cell's clock, ns.
+        for_ns: i64,
+    },
     /// The program is asked to end.
     Stop,
     /// Nothing but time passed.

@@ -6,7 +6,7 @@
 //!
 //! # The arm
 //! ```text
-//!                 ┌────────────────────── Disconnected, WrongVersion, ReportsLost (from any state)
+//!                 ┌────────────────────── Disconnected, WrongVersion, ReportsLost, a suspend (any state)
 //!                 ▼
 //!            ┌─────────┐ Connected  ┌─────────┐  Unlock,        ┌──────────┐
 //!            │ Absent  │───────────▶│  Held   │◀────────────────│ Alarmed  │◀── Alarm (from any state)
@@ -44,6 +44,7 @@
 
 mod action;
 mod arm;
+mod cameras;
 mod choose;
 mod count;
 mod event;
@@ -60,18 +61,16 @@ pub use event::{CANDIDATES_MAX, Candidate, Event, Found, Grasp, Nothing, Operato
 pub use state::State;
 
 use super::pairing::{FrameSeen, Handle, Pair, Pairing};
-use crate::camera::{Condition, Side};
+use crate::camera::Side;
 use crate::frame::TimestampMark;
 use crate::time::{Budget, Timestamp};
 use arm::ArmSide;
+use cameras::CameraState;
 use choose::Tried;
 use place::Place;
 
 /// How long `Event::Stop` waits for the arm to say that it holds, ns.
 pub const STOP_NS: i64 = 500_000_000;
-
-/// So many frames in a row without a partner, both cameras delivering, are out of step.
-const OUT_OF_STEP_FRAMES: u32 = 10;
 
 /// What the core needs to know of its cell.
 #[derive(Clone, Debug, PartialEq)]
@@ -95,6 +94,8 @@ pub struct Params {
     pub iterations: Option<u64>,
     /// Seed of all searches.
     pub seed: u64,
+    /// Budgets and seeds of single searches, by the number of their left frame: a recorded session is searched as it was.
+    pub repeated: Vec<Option<Repeated>>,
     /// There is an arm.
     pub has_arm: bool,
     /// Number of the first target, above every number ever given away.
@@ -107,6 +108,15 @@ pub struct Params {
     pub defer_ns: i64,
     /// Two grasps of one part model closer than this are the same part, mm.
     pub same_part_mm: f64,
+}
+
+/// A search that is made once more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Repeated {
+    /// Its budget.
+    pub iterations: u64,
+    /// Its seed.
+    pub seed: u64,
 }
 
 /// A grid of slots, row by row.
@@ -122,18 +132,6 @@ pub struct PlacePattern {
     pub columns: u32,
     /// Rows, at least 1.
     pub rows: u32,
-}
-
-#[derive(Clone, Copy, Debug, Default)]
-struct CameraState {
-    /// When its last frame came.
-    last_arrival: Option<Timestamp>,
-    /// That frame's time stamp and number.
-    last_frame: Option<(Timestamp, u32)>,
-    /// It was said that it gives nothing.
-    lost: bool,
-    /// A session that is over.
-    ended: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -209,6 +207,7 @@ impl Core {
             Event::Persisted(record) => self.place.persisted(record),
             Event::NotPersisted => self.place.not_persisted(now, actions),
             Event::Operator(operator) => self.operator(operator, now, actions),
+            Event::Suspended { for_ns } => self.suspended(for_ns, now, actions),
             Event::Stop => self.stop(now, actions),
             Event::Tick => {}
         }
@@ -278,118 +277,16 @@ impl Core {
         }
     }
 
-    // ---- cameras -----------------------------------------------------------------------------------------------
-
-    fn lose_camera(&mut self, side: Side, alarm: Alarm, actions: &mut Actions) {
-        let camera = &mut self.cameras[side.index()];
-        if !camera.lost {
-            camera.lost = true;
-            camera.last_frame = None;
-            self.counts.add(Cause::CameraLost, 1);
-            actions.say(Note::Alarm(alarm));
-        }
-        if let Some(handle) = self.pairing.forget(side) {
-            actions.push(Action::Free(handle));
-        }
-    }
-
-    fn camera_is_back(&mut self, side: Side, actions: &mut Actions) {
-        if std::mem::take(&mut self.cameras[side.index()].lost) {
-            actions.say(Note::CameraBack { side });
-        }
-    }
-
-    fn camera_ended(&mut self, side: Side, now: Timestamp, actions: &mut Actions) {
-        self.cameras[side.index()].ended = true;
-        if self.cameras.iter().all(|camera| camera.ended) && self.phase == Phase::Running {
-            let pick_ns = i64::from(self.settings.arm.pick_timeout_ms) * 1_000_000;
-            self.phase = Phase::Draining(Timestamp(now.0.saturating_add(pick_ns)));
-            for side in Side::BOTH {
-                if let Some(handle) = self.pairing.forget(side) {
-                    self.counts.add(Cause::Unpaired, 1);
-                    actions.push(Action::Free(handle));
-                }
-            }
-        }
-    }
-
-    fn frame(&mut self, frame: FrameSeen, now: Timestamp, actions: &mut Actions) {
-        self.counts.add(Cause::Frames, 1);
-        self.counts.add(Cause::Skipped, u64::from(frame.skipped));
-        self.camera_is_back(frame.side, actions);
-        self.count_missing(&frame);
-        let camera = &mut self.cameras[frame.side.index()];
-        camera.last_arrival = Some(now);
-        camera.last_frame = Some((frame.timestamp, frame.sequence));
-        let future = frame.timestamp.since(now) > self.params.period_ns;
-        let bad = match frame.condition {
-            Condition::Damaged => Some(Cause::Damaged),
-            Condition::Short => Some(Cause::Short),
-            Condition::Good => future.then_some(Cause::Future),
-        };
-        let stopping = matches!(self.phase, Phase::Stopping(_));
-        if let Some(cause) = bad {
-            self.counts.add(cause, 1);
-        }
-        if bad.is_some() || stopping {
-            actions.push(Action::Free(frame.handle));
-            return;
-        }
-        self.pair_up(frame, now, actions);
-    }
-
-    /// Counts the frames between this one and the last of its side.
-    fn count_missing(&mut self, frame: &FrameSeen) {
-        let Some((timestamp, sequence)) = self.cameras[frame.side.index()].last_frame else { return };
-        let steps = frame.sequence.wrapping_sub(sequence);
-        // A driver that was opened anew counts from 0 again; that is no gap.
-        let gap = match steps {
-            1..=1000 => u64::from(steps - 1).saturating_sub(u64::from(frame.skipped)),
-            _ => 0,
-        };
-        self.counts.add(Cause::Gap, gap);
-        let periods =
-            (frame.timestamp.since(timestamp) + self.params.period_ns / 2) / self.params.period_ns.max(1);
-        let missing = u64::try_from(periods - 1).unwrap_or(0);
-        self.counts.add(Cause::Missing, missing.saturating_sub(gap + u64::from(frame.skipped)));
-    }
-
-    fn pair_up(&mut self, frame: FrameSeen, now: Timestamp, actions: &mut Actions) {
-        let paired = self.pairing.run(frame);
-        if let Some(handle) = paired.superseded {
-            self.counts.add(Cause::Unpaired, 1);
-            actions.push(Action::Free(handle));
-        }
-        if let Some((handle, skew_ns)) = paired.out_of_step {
-            self.counts.add(Cause::OutOfStep, 1);
-            actions.push(Action::Free(handle));
-            self.alone_in_a_row = self.alone_in_a_row.saturating_add(1);
-            if self.alone_in_a_row == OUT_OF_STEP_FRAMES {
-                actions.say(Note::Alarm(Alarm::CamerasOutOfStep { skew_us: skew_ns / 1000 }));
-            }
-        }
-        let Some(pair) = paired.pair else { return };
-        self.alone_in_a_row = 0;
-        self.counts.add(Cause::Pairs, 1);
-        if self.searching.is_none() {
-            self.search(pair, actions);
-        } else if let Some(older) = self.waiting.replace(pair) {
-            self.counts.add(Cause::Superseded, 1);
-            self.finish_pair(&older, now, Err(NoPick::Superseded), actions);
-        }
-    }
-
     // ---- recognition -------------------------------------------------------------------------------------------
 
     fn search(&mut self, pair: Pair, actions: &mut Actions) {
         self.searching = Some(pair);
         let until = pair.earliest().0.saturating_add(self.params.deadline_ns - self.params.wire_ns);
-        let budget = self.params.iterations.map_or(Budget::Until(Timestamp(until)), Budget::Iterations);
-        actions.push(Action::Recognise(Job {
-            pair,
-            budget,
-            seed: self.params.seed.wrapping_add(pair.number),
-        }));
+        let repeated = self.params.repeated.get(pair.left.sequence as usize).copied().flatten();
+        let iterations = repeated.map(|search| search.iterations).or(self.params.iterations);
+        let budget = iterations.map_or(Budget::Until(Timestamp(until)), Budget::Iterations);
+        let seed = repeated.map_or(self.params.seed.wrapping_add(pair.number), |search| search.seed);
+        actions.push(Action::Recognise(Job { pair, budget, seed }));
     }
 
     fn recognised(&mut self, number: u64, found: &Found, now: Timestamp, actions: &mut Actions) {

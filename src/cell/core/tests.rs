@@ -9,6 +9,7 @@ use firmware_bridge::config::Settings;
 use firmware_bridge::message::{HeldBy, Pick, Pose, Report};
 
 use super::*;
+use crate::camera::Condition;
 
 pub(super) const MS: i64 = 1_000_000;
 
@@ -39,6 +40,7 @@ pub(super) fn params() -> Params {
         silence_ns: 800 * MS,
         iterations: None,
         seed: 7,
+        repeated: Vec::new(),
         has_arm: true,
         first_id: 100,
         place: None,

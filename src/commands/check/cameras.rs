@@ -57,11 +57,7 @@ pub(super) fn check(cell: &Cell, findings: &mut Findings) {
 }
 
 fn stable(subject: &str, device: &Path, findings: &mut Findings) {
-    let kernels_own = device.to_str().is_some_and(|path| path.starts_with("/dev/video"));
-    if kernels_own {
-        let better = list::stable_paths(device);
-        let better =
-            better.first().map_or("a path under /dev/v4l/by-path".into(), |path| path.display().to_string());
+    if let Some(better) = list::better_path(device) {
         findings.warning(
             subject,
             format!("{} is a number that changes when cameras are plugged in anew", device.display()),

@@ -19,10 +19,10 @@ pub struct RunArgs {
     /// The cell
     #[arg(long, value_name = "FILE", default_value = "cell.toml")]
     pub cell: PathBuf,
-    /// Budget of every search in iterations instead of the time that the deadline leaves
+    /// Budget of every search in iterations instead of the time that the deadline leaves, and of those of a recording
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub iterations: Option<u64>,
-    /// Seed of all searches instead of the cell's
+    /// Seed of all searches instead of the cell's and those of a recording
     #[arg(long)]
     pub seed: Option<u64>,
     /// Folder of the overlay pictures

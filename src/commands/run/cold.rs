@@ -10,15 +10,18 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
 use super::args::{Format, Overlays, RunArgs};
+use super::entries::line_of;
 use super::paint::{Painter, Studio};
-use super::record::{Recorder, line_of};
+use super::record::Recorder;
 use super::summary::{self, Endurance};
 use super::{RunError, place};
+use crate::camera::Side;
 use crate::cell::core::{Note, PairReport, TargetEnd};
 use crate::cell::desk::{ColdSeat, Desk, File, Letter, Paper};
 use crate::cell::notify;
 use crate::cell::realtime::resident_bytes;
 use crate::config::{Backend, Cell, Pace};
+use crate::frame::Frame;
 use crate::part::Part;
 use crate::recognize::FoundPart;
 use crate::rig::Rig;
@@ -118,6 +121,7 @@ impl Cold {
             match self.seat.papers.pop() {
                 Ok(Paper::Note(note, at)) => self.note(&note, at),
                 Ok(Paper::Pair(report, file)) => self.pair(&report, file),
+                Ok(Paper::Lone(side, frame)) => self.lone(side, frame),
                 Err(_) => break,
             }
         }
@@ -154,6 +158,19 @@ impl Cold {
     fn fetch_written(&mut self) {
         while let Some(written) = self.recorder.as_mut().and_then(|r| r.written(self.unwritten_max)) {
             self.order_picture(written.name, written.caption, written.file);
+        }
+        while let Some((side, frame)) = self.recorder.as_mut().and_then(Recorder::spare) {
+            self.seat.outbox.send(Letter::Spare(side, frame));
+        }
+    }
+
+    fn lone(&mut self, side: Side, frame: Frame) {
+        let back = match &mut self.recorder {
+            Some(recorder) => recorder.lone(side, frame).err(),
+            None => Some(frame),
+        };
+        if let Some(frame) = back {
+            self.seat.outbox.send(Letter::Spare(side, frame));
         }
     }
 

@@ -2,6 +2,7 @@
 
 mod args;
 mod cold;
+mod entries;
 mod error;
 mod paint;
 pub(super) mod place;
@@ -45,6 +46,7 @@ pub fn run(args: &RunArgs) -> Result<(), RunError> {
         wishes,
         fast,
         period,
+        schedule,
         rig,
         parts,
         names,
@@ -60,7 +62,8 @@ pub fn run(args: &RunArgs) -> Result<(), RunError> {
         let next = || sides.iter().for_each(|side| side.wake());
         let carrier = Carrier::new(&desk, hub, core, arm);
         let start = Timestamp::now();
-        let fast = Fast { grabs, cameras, next: &next, period, recognizer, in_base, carrier, start };
+        let fast =
+            Fast { grabs, cameras, next: &next, period, schedule, recognizer, in_base, carrier, start };
         fast.run(|| controls.is_stopped(), || cold.work())
     } else {
         say_memory(if cell.realtime.lock_memory { lock_memory() } else { Granted::NotAsked });

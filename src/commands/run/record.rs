@@ -4,26 +4,25 @@
 //! A recording that cannot be begun or cannot go on ends with a message; the cell goes on. What is handed over after
 //! that comes back at once.
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::thread::{Builder, JoinHandle};
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded, unbounded};
 use std::sync::Arc;
 
+use super::entries::{about, add_recognition, record_of, said_to};
 use crate::camera::Side;
-use crate::cell::core::{Event, NoPick, Note, PairReport, TargetEnd};
-use crate::cell::desk::{File, Logged, Said};
+use crate::cell::core::{NoPick, PairReport};
+use crate::cell::desk::{File, Logged};
 use crate::config::{Cell, KeptPictures, Recording, WhenFull};
+use crate::frame::Frame;
 use crate::handover::Waker;
 use crate::part::Part;
-use crate::session::events::{
-    CandidateRecord, CommandRecord, EventRecord, Level, PairRecord, ReportRecord, Topic,
-};
+use crate::session::events::{Level, PairRecord, Topic};
 use crate::session::{About, RecordingWriter, WriteError};
 use crate::telemetry::Telemetry;
-use crate::time::{Timestamp, utc_name, wall_from_cell_ns};
+use crate::time::{Timestamp, utc_name};
 
 /// Orders without a file that wait at most; a disk that hangs must not fill the memory.
 const ORDERS: usize = 8192;
@@ -38,6 +37,7 @@ enum Order {
     Pair { record: Box<PairRecord>, at: Timestamp, file: Option<Box<File>>, caption: String },
     Logged(Box<Logged>),
     Line(Level, Timestamp, String),
+    Lone(Side, Frame),
 }
 
 /// A pair that was written, as far as it could be.
@@ -66,10 +66,11 @@ pub(super) struct Tally {
 
 impl Tally {
     /// What is missing in it, by name.
-    pub(super) fn losses(&self, telemetry: &Telemetry) -> [(&'static str, u64); 2] {
+    pub(super) fn losses(&self, telemetry: &Telemetry) -> [(&'static str, u64); 3] {
         [
             ("pairs recorded without pictures", self.bare),
             ("events not recorded", self.lost + telemetry.unlogged()),
+            ("frames without a search not recorded", telemetry.unkept()),
         ]
     }
 
@@ -90,6 +91,7 @@ impl Tally {
 pub(super) struct Recorder {
     orders: Sender<Order>,
     written: Receiver<Written>,
+    spare: Receiver<(Side, Frame)>,
     thread: JoinHandle<Tally>,
     under_way: usize,
     lost: u64,
@@ -116,11 +118,12 @@ impl Recorder {
         };
         let (orders, ordered) = bounded(ORDERS);
         let (finished, written) = unbounded();
+        let (spares, spare) = unbounded();
         let thread = Builder::new().name("record".into()).spawn(move || {
             let mut book = book;
-            book.work(&ordered, &finished, &waker)
+            book.work(&ordered, &Done { pairs: finished, frames: spares, waker })
         })?;
-        Ok(Some(Self { orders, written, thread, under_way: 0, lost: 0, bare: 0 }))
+        Ok(Some(Self { orders, written, spare, thread, under_way: 0, lost: 0, bare: 0 }))
     }
 
     /// Hands over a pair; gives its file back where nobody will.
@@ -146,6 +149,22 @@ impl Recorder {
             }
         }
         Ok(())
+    }
+
+    /// Hands over a frame that led to no search; gives it back where nobody will.
+    pub(super) fn lone(&mut self, side: Side, frame: Frame) -> Result<(), Frame> {
+        match self.orders.try_send(Order::Lone(side, frame)).map_err(|refused| refused.into_inner()) {
+            Err(Order::Lone(_, frame)) => {
+                self.lost += 1;
+                Err(frame)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// A frame without a search that was written.
+    pub(super) fn spare(&mut self) -> Option<(Side, Frame)> {
+        self.spare.try_recv().ok()
     }
 
     /// Hands over what was logged.
@@ -177,67 +196,25 @@ impl Recorder {
     }
 }
 
-fn about(cell: &Cell, period: Duration) -> About {
-    let mut files: Vec<PathBuf> = vec![cell.rig.calibration.clone()];
-    files.extend(cell.recognition.parts.iter().cloned());
-    let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let read = |path: &PathBuf| std::fs::read(path).ok().map(|content| (name(path), content));
-    let rate_hz = 1.0 / period.as_secs_f64().max(1e-9);
-    let metadata = [
-        ("version", env!("CARGO_PKG_VERSION").to_owned()),
-        ("rate_hz", format!("{rate_hz:.6}")),
-        ("deadline_ms", format!("{:.3}", cell.deadline(period).as_secs_f64() * 1e3)),
-    ];
-    About {
-        wall_from_cell_ns: wall_from_cell_ns(),
-        metadata: metadata
-            .map(|(key, value)| (key.to_owned(), value))
-            .into_iter()
-            .collect::<BTreeMap<_, _>>(),
-        files: [("cell.toml".to_owned(), cell.text.clone().into_bytes())]
-            .into_iter()
-            .chain(files.iter().filter_map(read))
-            .collect(),
-    }
+/// The way back of what was written.
+struct Done {
+    pairs: Sender<Written>,
+    frames: Sender<(Side, Frame)>,
+    waker: Arc<Waker>,
 }
 
-/// What the core says about a pair.
-fn record_of(report: &PairReport) -> PairRecord {
-    let pair = &report.pair;
-    PairRecord {
-        stamps_ns: [pair.left.timestamp.0, pair.right.timestamp.0],
-        sequences: [pair.left.sequence, pair.right.sequence],
-        target: report.outcome.ok().map(|sent| sent.id),
-        candidate: report.outcome.ok().map(|sent| sent.candidate),
-        no_target: report.outcome.err().map(|why| why.to_string()),
-        deadline_kept: report.deadline_kept,
-        ..PairRecord::default()
-    }
-}
-
-/// What the recogniser found in it.
-fn add_recognition(record: &mut PairRecord, file: &File, names: &[String]) {
-    let earliest = record.stamps_ns[0].min(record.stamps_ns[1]);
-    record.time_ms = Some(file.finished.since(Timestamp(earliest)) as f64 / 1e6);
-    record.error = file.refusal.as_ref().map(ToString::to_string);
-    if file.refusal.is_some() {
-        return;
-    }
-    let found = &file.recognition;
-    record.seed = Some(found.seed);
-    record.iterations = Some(found.iterations);
-    record.parts = Some(found.parts.len());
-    let free = found.parts.iter().filter(|part| part.blocked.is_none());
-    record.candidates.extend(free.map(|part| {
-        let rotation = part.grasp.orientation.quaternion();
-        CandidateRecord {
-            part: names.get(part.part).cloned().unwrap_or_default(),
-            fitness: part.fitness,
-            position_mm: part.grasp.position_mm.coords.into(),
-            orientation_xyzw: [rotation.i, rotation.j, rotation.k, rotation.w],
-            opening_mm: part.grasp.opening_mm,
+impl Done {
+    fn pair(&self, written: Written) {
+        if self.pairs.send(written).is_ok() {
+            self.waker.wake();
         }
-    }));
+    }
+
+    fn lone(&self, side: Side, frame: Frame) {
+        if self.frames.send((side, frame)).is_ok() {
+            self.waker.wake();
+        }
+    }
 }
 
 /// The files of a recording; none any more where it has ended.
@@ -286,17 +263,14 @@ impl Book {
         Ok(())
     }
 
-    fn work(&mut self, ordered: &Receiver<Order>, finished: &Sender<Written>, waker: &Waker) -> Tally {
+    fn work(&mut self, ordered: &Receiver<Order>, done: &Done) -> Tally {
         loop {
             let left_ns = (FLUSH_NS - Timestamp::now().since(self.flushed)).clamp(0, FLUSH_NS);
             let order = ordered.recv_timeout(Duration::from_nanos(left_ns as u64));
             let begun = Timestamp::now();
             let more = !matches!(order, Err(RecvTimeoutError::Disconnected));
-            if let Ok(order) = order
-                && let Some(written) = self.write(order)
-                && finished.send(written).is_ok()
-            {
-                waker.wake();
+            if let Ok(order) = order {
+                self.write(order, done);
             }
             if more {
                 self.keep_up(begun);
@@ -310,23 +284,30 @@ impl Book {
         }
     }
 
-    fn write(&mut self, order: Order) -> Option<Written> {
+    fn write(&mut self, order: Order, done: &Done) {
         match order {
             Order::Pair { mut record, at, mut file, caption } => {
                 let written = self.pair(&mut record, at, file.as_deref_mut());
                 self.give_up_on(written);
-                file.map(|file| Written { name: record.name, caption, file })
+                if let Some(file) = file {
+                    done.pair(Written { name: record.name, caption, file });
+                }
             }
             Order::Logged(logged) => {
                 let Logged { at, said } = *logged;
                 let written = self.writer.as_mut().map_or(Ok(()), |writer| said_to(writer, at, said));
                 self.give_up_on(written);
-                None
             }
             Order::Line(level, at, line) => {
                 let written = self.writer.as_mut().map_or(Ok(()), |writer| writer.line(level, at, &line));
                 self.give_up_on(written);
-                None
+            }
+            Order::Lone(side, mut frame) => {
+                let kept = self.settings.pictures == KeptPictures::All;
+                let writer = self.writer.as_mut().filter(|_| kept);
+                let written = writer.map_or(Ok(()), |writer| writer.frame(side, &mut frame));
+                self.give_up_on(written);
+                done.lone(side, frame);
             }
         }
     }
@@ -413,39 +394,6 @@ impl Book {
     }
 }
 
-/// A note as a line of the log; none for pairs, which have a topic of their own.
-pub(super) fn line_of(note: &Note) -> Option<(Level, String)> {
-    Some(match note {
-        Note::Pair(_) => return None,
-        Note::Sent { id, frame_to_wire_ns, deadline_kept } => {
-            let kept = if *deadline_kept { "kept" } else { "missed" };
-            let ms = *frame_to_wire_ns as f64 / 1e6;
-            (Level::Info, format!("target {id} on the wire {ms:.2} ms after its frame, deadline {kept}"))
-        }
-        Note::Accepted { id } => (Level::Info, format!("target {id} accepted")),
-        Note::Ended { id, end } => {
-            let level = if *end == TargetEnd::Done { Level::Info } else { Level::Warning };
-            (level, format!("target {id} {end}"))
-        }
-        Note::Alarm(alarm) => (Level::Warning, alarm.to_string()),
-        Note::CameraBack { side } => (Level::Info, format!("{} camera delivers again", side.name())),
-        Note::Connected { session } => (Level::Info, format!("arm connected, session {session}")),
-        Note::Released => (Level::Info, "arm released".into()),
-        Note::Ready => (Level::Info, "arm ready".into()),
-        Note::SlotFilled { slot } => (Level::Info, format!("slot {slot} filled")),
-    })
-}
-
-fn said_to(writer: &mut RecordingWriter, at: Timestamp, said: Said) -> Result<(), WriteError> {
-    match said {
-        Said::Event(Event::Arm(report)) => writer.record(Topic::Report, at, &ReportRecord { report }),
-        Said::Event(event) => writer.record(Topic::Event, at, &EventRecord { event }),
-        Said::Command(command, refused) => {
-            writer.record(Topic::Command, at, &CommandRecord { command, refused })
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -458,7 +406,8 @@ mod tests {
         let (orders, _hanging) = bounded(1);
         let (_finished, written) = unbounded();
         let thread = std::thread::spawn(Tally::default);
-        let mut recorder = Recorder { orders, written, thread, under_way: 0, lost: 0, bare: 0 };
+        let (_spares, spare) = unbounded();
+        let mut recorder = Recorder { orders, written, spare, thread, under_way: 0, lost: 0, bare: 0 };
         recorder.line(Level::Info, Timestamp(1), "one".into());
         let seen = |side| FrameSeen {
             handle: Handle(0),
@@ -475,7 +424,8 @@ mod tests {
         let back = recorder.pair("1".into(), String::new(), &report, Some(Box::default()));
         assert!(back.is_err(), "the file comes back");
         assert!(recorder.pair("1".into(), String::new(), &report, None).is_ok());
-        assert_eq!((recorder.lost, recorder.bare, recorder.under_way), (2, 1, 0));
+        assert!(recorder.lone(Side::Left, Frame::default()).is_err(), "the frame comes back");
+        assert_eq!((recorder.lost, recorder.bare, recorder.under_way), (3, 1, 0));
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 use std::sync::Arc;
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
 use firmware_bridge::codec::PACKET_LEN_MAX;
 use firmware_bridge::config::{DialectName, LinkName, Settings};
@@ -13,9 +13,10 @@ use super::args::{Overlays, Rate, RunArgs};
 use super::{RunError, place};
 use crate::arm::Arm;
 use crate::camera::replay::Pace;
-use crate::camera::{Camera, ReplayCamera};
-use crate::cell::core::{Core, Params, PlacePattern, PlaceRecord};
+use crate::camera::{Camera, ReplayCamera, Side};
+use crate::cell::core::{Core, Params, PlacePattern, PlaceRecord, Repeated};
 use crate::cell::desk::{Desk, Seats};
+use crate::cell::fast::{Moment, Schedule};
 use crate::cell::realtime::{Wish, hot_cores};
 use crate::cell::threads::Wishes;
 use crate::config::{self, Backend, Cell, PlaceGrid, Realtime, Scheduling};
@@ -24,8 +25,8 @@ use crate::hands;
 use crate::part::Part;
 use crate::recognize::Recognizer;
 use crate::rig::Rig;
-use crate::session::Session;
-use crate::time::Timestamp;
+use crate::session::{Fate, RecordedPair, Session};
+use crate::time::{Timestamp, wall_ms};
 
 /// Budget of a search, in iterations, where a session is played as fast as possible and nothing else is said.
 const FAST_ITERATIONS: u64 = 1_000_000;
@@ -64,6 +65,8 @@ pub(super) struct Setup {
     /// On the session's own time.
     pub(super) fast: bool,
     pub(super) period: Duration,
+    /// When its pairs are played on the session's own time.
+    pub(super) schedule: Schedule,
     pub(super) rig: Rig,
     pub(super) parts: Vec<Part>,
     /// Names of a recorded session's pairs; empty for live cameras.
@@ -81,6 +84,10 @@ struct Eyes {
     replayed: bool,
     /// What the session's arm said.
     arm: Vec<Said>,
+    /// How the session's pairs were searched.
+    repeated: Vec<Option<Repeated>>,
+    /// When they are played on the session's own time.
+    schedule: Schedule,
 }
 
 impl Setup {
@@ -138,7 +145,7 @@ impl Setup {
             Desk::new(files + more_files, eyes.frame_bytes, logged).map_err(RunError::System)?;
         let desk = Arc::new(desk);
         let wishes = wishes(&cell.realtime);
-        let Eyes { cameras, steps, period, names, .. } = eyes;
+        let Eyes { cameras, steps, period, names, schedule, .. } = eyes;
         Ok(Self {
             cell,
             core,
@@ -152,6 +159,7 @@ impl Setup {
             wishes,
             fast,
             period,
+            schedule,
             rig,
             parts,
             names,
@@ -198,13 +206,56 @@ fn replayed(args: &RunArgs, folder: &Path, fast: bool) -> Result<Eyes, RunError>
     };
     let timed = if args.soak.is_some() { Pace::Every(period) } else { Pace::AsRecorded };
     let pace = steps.clone().map_or(timed, Pace::Stepped);
-    let whole = |pair: &&crate::session::RecordedPair| !stepped || pair.pictures.iter().all(Option::is_some);
-    let names: Vec<_> = session.pairs.iter().filter(whole).map(|pair| pair.name.clone()).collect();
+    let played: Vec<&RecordedPair> =
+        session.pairs.iter().filter(|pair| !stepped || pair.is_whole()).collect();
+    let names: Vec<_> = played.iter().map(|pair| pair.name.clone()).collect();
+    let as_recorded = args.soak.is_none() && args.iterations.is_none() && args.seed.is_none();
+    let repeated: Vec<_> = played.iter().map(|pair| as_recorded.then(|| repeated(pair)).flatten()).collect();
+    if repeated.iter().any(Option::is_some) {
+        tracing::info!(
+            "searches have the budgets and seeds of the recording; --iterations or --seed gives others"
+        );
+    }
+    let schedule = Schedule {
+        pairs: played.iter().map(|pair| moment(pair)).collect(),
+        lead: session.arm_lead_ns.map_or(period, |ns| Duration::from_nanos(ns.unsigned_abs())),
+    };
     let pairs = args.soak.map_or(names.len(), |pairs| usize::try_from(pairs).unwrap_or(usize::MAX));
     let sides = ReplayCamera::both(&session, &pace, pairs, args.raw)?;
     let frame_bytes = sides.iter().map(ReplayCamera::largest_bytes).max().unwrap_or(0);
     let cameras = sides.map(Camera::Replay);
-    Ok(Eyes { cameras, steps, period, frame_bytes, names, pairs, replayed: true, arm: session.arm })
+    Ok(Eyes {
+        cameras,
+        steps,
+        period,
+        frame_bytes,
+        names,
+        pairs,
+        replayed: true,
+        arm: session.arm,
+        repeated,
+        schedule,
+    })
+}
+
+/// What repeats the search of a recorded pair.
+fn repeated(pair: &RecordedPair) -> Option<Repeated> {
+    let Some(Fate::Searched { search: Some(search), .. }) = pair.fate else { return None };
+    // One that ended by itself ends by itself again, and shall not be taken for one that was stopped there.
+    let iterations = match search.out_of_time {
+        true => search.iterations,
+        false => search.iterations.saturating_mul(2).max(FAST_ITERATIONS),
+    };
+    Some(Repeated { iterations, seed: search.seed })
+}
+
+/// When a pair was seen, and how long after that the cell had decided about it.
+fn moment(pair: &RecordedPair) -> Moment {
+    let decided_after_ns = match pair.fate {
+        Some(Fate::Searched { after_ns, .. }) => after_ns,
+        _ => 0,
+    };
+    Moment { seen_ns: pair.after_ns, decided_after_ns }
 }
 
 fn waker() -> Result<Arc<Waker>, RunError> {
@@ -212,10 +263,19 @@ fn waker() -> Result<Arc<Waker>, RunError> {
 }
 
 fn live(cell: &Cell) -> Result<Eyes, RunError> {
-    use crate::camera::v4l::V4lCamera;
+    use crate::camera::v4l::{V4lCamera, list};
     let (Some(left), Some(right)) = (&cell.cameras.left, &cell.cameras.right) else {
         unreachable!("a cell with live cameras has both: config checks it")
     };
+    for (side, camera) in Side::BOTH.into_iter().zip([left, right]) {
+        if let Some(better) = list::better_path(&camera.device) {
+            let (side, device) = (side.name(), camera.device.display());
+            tracing::warn!(
+                "cameras.{side}.device = \"{device}\" is a number that changes when cameras are plugged in anew: left and \
+                 right may change places; write {better} into cell.toml"
+            );
+        }
+    }
     let open = |side: &'static str, settings: &config::CameraSettings| {
         V4lCamera::open_within(settings.clone(), CAMERA_PATIENCE)
             .map_err(|reason| RunError::Camera { side, reason })
@@ -231,6 +291,8 @@ fn live(cell: &Cell) -> Result<Eyes, RunError> {
         pairs: 0,
         replayed: false,
         arm: Vec::new(),
+        repeated: Vec::new(),
+        schedule: Schedule::default(),
     })
 }
 
@@ -249,6 +311,7 @@ fn params(args: &RunArgs, cell: &Cell, eyes: &Eyes, record: PlaceRecord, fast: b
         silence_ns: ns(SILENCE.max(3 * period)),
         iterations: args.iterations.or(cell.recognition.iterations).or(fast.then_some(FAST_ITERATIONS)),
         seed: args.seed.unwrap_or(cell.recognition.seed),
+        repeated: eyes.repeated.clone(),
         has_arm: true,
         first_id: first_id(),
         place: cell.place.as_ref().map(pattern),
@@ -287,8 +350,7 @@ fn pattern(grid: &PlaceGrid) -> PlacePattern {
 
 /// A number above every target's of earlier runs: they rise by far less than a thousand a second.
 fn first_id() -> u64 {
-    let since_epoch = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(since_epoch.as_millis()).unwrap_or(u64::MAX / 2)
+    wall_ms()
 }
 
 /// Two processes differ in it.

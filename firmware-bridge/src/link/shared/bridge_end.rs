@@ -58,6 +58,10 @@ impl BridgeEnd {
         now_ns: i64,
         mut carry: impl FnMut(Command) -> Result<(), Refusal>,
     ) {
+        if now_ns - record.sent_ns > self.timeout_ns {
+            // It waited while this process stood still or the machine was suspended: nothing in it counts any more.
+            return;
+        }
         if record.bridge != self.record.bridge {
             // Not for this life of the bridge: a driver that has to hear of it first.
             if self.has_cell() && record.cell != self.record.cell {
@@ -205,6 +209,23 @@ mod tests {
         assert!(!end.has_cell());
         assert_eq!(carried(&mut end, &record(5, 0, [None; COMMANDS])), [Command::Hello]);
         assert!(end.has_cell());
+    }
+
+    #[test]
+    fn a_release_that_waited_through_a_suspend_is_not_carried() {
+        let mut end = BridgeEnd::new(&settings(), 5);
+        carried(&mut end, &record(5, 0, [None; COMMANDS]));
+        let mut waited = record(5, 1, [None, Some(Command::Release), None, None]);
+        waited.sent_ns = 100 * MS;
+        let hour_ns = 3_600_000 * MS;
+        let mut all = Vec::new();
+        let mut carry = |command| {
+            all.push(command);
+            Ok(())
+        };
+        end.on_record(&waited, hour_ns, &mut carry);
+        end.run_timers(hour_ns, &mut carry);
+        assert_eq!((all, end.has_cell()), (vec![Command::Hold], false));
     }
 
     #[test]

@@ -182,6 +182,49 @@ fn the_operators_hold_outlives_a_reconnection() {
 }
 
 #[test]
+fn after_a_suspend_nothing_moves_before_the_operators_release() {
+    let mut bench = Bench::looking(params(), &settings("resume = \"auto\""));
+    let id = order(&mut bench).id;
+    bench.arm(Report::Sent { id, at_ns: bench.now.0 });
+    let before = bench.now;
+    bench.now = Timestamp(before.0 + 3_600_000 * MS);
+    bench.event(Event::Suspended { for_ns: 3_599_999 * MS });
+    assert_eq!(bench.alarms(), [Alarm::Suspended { seconds: 3600 }]);
+    assert_eq!(bench.commands(), [Command::Hold, Command::Hello]);
+    assert_eq!((bench.ends(), bench.state()), (Some(TargetEnd::Lost), State::Absent));
+    // The arm held by itself when the heartbeat stopped; without a suspend `auto` would release it.
+    bench.arm(Report::Connected { session: 4, held_by: HeldBy::HeartbeatLost });
+    assert_eq!((bench.commands(), bench.state()), (vec![], State::Held));
+    bench.event(Event::Operator(Operator::Release));
+    assert_eq!(bench.commands(), [Command::Release]);
+    bench.arm(Report::Ready { clear_of_view: true });
+    bench.pass(MS);
+    assert!(bench.recognise(found(&[OTHER])).is_ok());
+}
+
+#[test]
+fn a_result_from_before_a_suspend_is_late_and_one_of_after_it_finds_the_arm_on_hold() {
+    let mut bench = Bench::looking(params(), &settings(""));
+    bench.pair();
+    let pair = bench.job().unwrap().pair.number;
+    bench.now = Timestamp(bench.now.0 + 60_000 * MS);
+    bench.event(Event::Suspended { for_ns: 60_000 * MS });
+    bench.event(Event::Recognised { pair, found: found(&[PART]) });
+    assert_eq!(bench.outcome(), Some(Err(NoPick::Late)));
+    // Shorter than the deadline: it is not late, and still no target of a world that may have changed.
+    bench.arm(Report::Connected { session: 4, held_by: HeldBy::Command });
+    bench.event(Event::Operator(Operator::Release));
+    bench.arm(Report::Ready { clear_of_view: true });
+    bench.pass(MS);
+    bench.pair();
+    let pair = bench.job().unwrap().pair.number;
+    bench.event(Event::Suspended { for_ns: 20 * MS });
+    bench.event(Event::Recognised { pair, found: found(&[PART]) });
+    assert_eq!(bench.outcome(), Some(Err(NoPick::ArmAbsent)));
+    assert_eq!(bench.ordered(), None);
+}
+
+#[test]
 fn a_hold_waits_for_its_confirmation_before_it_is_released() {
     let mut bench = Bench::looking(params(), &settings(""));
     bench.event(Event::Operator(Operator::Hold));

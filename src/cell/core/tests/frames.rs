@@ -116,6 +116,22 @@ fn a_lost_camera_lets_go_of_its_waiting_frame() {
 }
 
 #[test]
+fn a_suspend_lets_go_of_waiting_frames_and_is_neither_silence_nor_a_gap() {
+    let mut bench = Bench::new(params(), &settings(""));
+    let frame = bench.frame(Side::Left, bench.now);
+    bench.event(Event::Frame(frame));
+    bench.now = Timestamp(bench.now.0 + 3_600_000 * MS);
+    let actions = bench.event(Event::Suspended { for_ns: 3_599_000 * MS }).to_vec();
+    assert_eq!(actions[1..], [Action::Free(frame.handle)]);
+    assert_eq!(bench.alarms(), [Alarm::Suspended { seconds: 3599 }]);
+    bench.pass(MS);
+    assert_eq!(bench.alarms(), []);
+    bench.pair();
+    assert!(bench.job().is_some());
+    assert_eq!((bench.count(Cause::Missing), bench.count(Cause::CameraLost)), (0, 0));
+}
+
+#[test]
 fn cameras_out_of_step_are_said_once() {
     let mut bench = Bench::new(params(), &settings(""));
     let mut said = Vec::new();

@@ -38,6 +38,10 @@ impl Judge {
             Event::Persisted(record) => self.on_disk = Some(*record),
             Event::Operator(Operator::Release) => self.operator_released = true,
             Event::Operator(Operator::Hold) => (self.held, self.operator_released) = (true, false),
+            Event::Suspended { .. } => {
+                (self.held, self.released, self.operator_released) = (true, false, false);
+                self.clear_since = None;
+            }
             Event::Stop => self.stopped = true,
             Event::Recognised { .. } => self.searching = None,
             _ => {}
@@ -236,6 +240,11 @@ impl Run {
             }
             96 => self.event(Event::CameraLost { side: Side::Left, trouble: Trouble::Unplugged }),
             97 => self.event(Event::CameraBack { side: Side::Left }),
+            98 if rng.random_range(0..4) == 0 => {
+                let for_ns = rng.random_range(10 * MS..100_000 * MS);
+                self.bench.now = Timestamp(due + for_ns);
+                self.event(Event::Suspended { for_ns });
+            }
             98 => self.event(Event::NotTaken { id, refusal: Refusal::Busy }),
             _ => self.event(Event::Recognised { pair: 1 << 40, found: found(&[[0.0; 3]]) }),
         }

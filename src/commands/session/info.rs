@@ -1,62 +1,27 @@
 //! `pickcell session info`: what is in a recorded session.
 
 use std::fmt::Write;
-use std::path::PathBuf;
+use std::path::Path;
 
-use clap::{Args, Subcommand, ValueEnum};
 use firmware_bridge::link::What;
 use firmware_bridge::message::{Command, Report};
 use serde_json::{Value, json};
 
+use super::Format;
 use crate::camera::Side;
 use crate::cell::core::TargetEnd;
 use crate::frame::Frame;
 use crate::session::foxglove::encoding_name;
 use crate::session::{Session, SessionError};
 
-/// Look at recorded sessions
-#[derive(Args, Debug)]
-pub struct SessionArgs {
-    #[command(subcommand)]
-    command: SessionCommand,
-}
-
-#[derive(Subcommand, Debug)]
-enum SessionCommand {
-    /// Say what is in a session: pairs, rate, duration, formats, what is missing, targets and what became of them
-    #[command(after_help = "\
-Example: pickcell session info recordings/2026-03-01T12-30-05.250Z.mcap
-
-Exit code: 0 done, 2 no session, or one that is damaged.")]
-    Info(InfoArgs),
-}
-
-#[derive(Args, Debug)]
-struct InfoArgs {
-    /// The recording (.mcap), or a folder with left/, right/ and session.toml
-    session: PathBuf,
-    /// How it is written
-    #[arg(long, value_enum, default_value_t = Format::Text)]
-    format: Format,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Format {
-    /// Lines for people
-    Text,
-    /// One JSON object
-    Json,
-}
-
 /// Reads the session; gives what to print.
 ///
 /// # Errors
 /// It cannot be read.
-pub fn run(args: &SessionArgs) -> Result<String, SessionError> {
-    let SessionCommand::Info(args) = &args.command;
-    let session = Session::open(&args.session)?;
+pub(super) fn run(path: &Path, format: Format) -> Result<String, SessionError> {
+    let session = Session::open(path)?;
     let info = Info::new(&session)?;
-    Ok(match args.format {
+    Ok(match format {
         Format::Text => info.text(&session),
         Format::Json => info.json(&session).to_string() + "\n",
     })
@@ -200,8 +165,6 @@ fn targets(session: &Session) -> Vec<Target> {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
     use firmware_bridge::link::Said;
     use firmware_bridge::message::Failure;
 
