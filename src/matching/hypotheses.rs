@@ -60,11 +60,40 @@ impl Default for SingleParams {
     }
 }
 
-/// A leg of a stereo node in space.
+/// A leg of a stereo node in space, left camera's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct SpaceLeg {
+    /// Unit direction; of wire along the baseline, which may have any slope, the level one.
     direction: Vector3<f64>,
+    /// Of wire along the baseline, a point that it may lead to as well.
+    towards: Option<Vector3<f64>>,
 }
+
+impl SpaceLeg {
+    /// The directions that a leg along the baseline may have where it encloses an angle with this cosine with
+    /// another, held one: the two that its picture leaves.
+    fn at_angle(&self, other: &SpaceLeg, cos: f64) -> [Option<Vector3<f64>>; 2] {
+        let Some(ray) = self.towards.filter(|_| other.towards.is_none()) else { return [None; 2] };
+        let (level, d) = (self.direction, other.direction);
+        // (level + t ray) · d = cos |level + t ray|, squared.
+        let (a, b, c2) = (level.dot(&d), ray.dot(&d), cos * cos);
+        let (p, q, r) = (
+            b * b - c2 * ray.norm_squared(),
+            a * b - c2 * level.dot(&ray),
+            a * a - c2 * level.norm_squared(),
+        );
+        let root = (q * q - p * r).max(0.0).sqrt();
+        [root, -root].map(|root| {
+            let t = (root - q) / p;
+            let along = level + ray * t;
+            let is_so = t.abs() < SLOPE_TAN_MAX && (a + t * b) * cos >= 0.0;
+            is_so.then(|| along.normalize())
+        })
+    }
+}
+
+/// No wire is steeper than about this against the picture.
+const SLOPE_TAN_MAX: f64 = 1.2;
 
 const SPACE_LEGS_MAX: usize = 8;
 
@@ -81,7 +110,7 @@ pub fn of_single_node(
     right: &[ImageNode],
     pool: &mut Vec<Hypothesis>,
 ) {
-    let mut legs = [SpaceLeg { direction: Vector3::zeros() }; SPACE_LEGS_MAX];
+    let mut legs = [SpaceLeg { direction: Vector3::zeros(), towards: None }; SPACE_LEGS_MAX];
     let count =
         space_legs(params, rig, node, &left[node.left as usize], &right[node.right as usize], &mut legs);
     let legs = &legs[..count];
@@ -90,10 +119,10 @@ pub fn of_single_node(
             continue;
         }
         let mut keep = |pose: Option<Isometry3<f64>>| {
-            let Some(left_from_part) = pose else { return };
+            let Some(left_from_part) = pose else { return false };
             let coverage = judge.coverage(&left_from_part);
             if coverage < params.coverage_min || pool.len() == pool.capacity() {
-                return;
+                return false;
             }
             let mut nodes = [UNMATCHED; ANCHORS_MAX];
             nodes[a] = index as u16;
@@ -102,6 +131,7 @@ pub fn of_single_node(
                 + judge.weights.unmatched * unmatched
                 + judge.weights.gap_per_px * node.gap_px;
             pool.push(Hypothesis { part, left_from_part, fitness, nodes });
+            true
         };
         if judge.model.straight {
             for leg in legs {
@@ -119,12 +149,13 @@ pub fn of_single_node(
     }
 }
 
-/// Calls `found` with two legs of the model and two in space that enclose the same angle.
+/// Calls `found` with two legs of the model and two in space that enclose the same angle. Where the wire of one lies along
+/// the baseline, and `found` does not like it level, with the slopes that give it the angle.
 fn for_leg_pairs(
     params: &SingleParams,
     anchor: &Anchor,
     legs: &[SpaceLeg],
-    mut found: impl FnMut(&[(Vector3<f64>, Vector3<f64>)]),
+    mut found: impl FnMut(&[(Vector3<f64>, Vector3<f64>)]) -> bool,
 ) {
     for (i, a) in anchor.legs.iter().enumerate() {
         for b in &anchor.legs[i + 1..] {
@@ -135,8 +166,18 @@ fn for_leg_pairs(
             for (p, first) in legs.iter().enumerate() {
                 for (q, second) in legs.iter().enumerate() {
                     let seen = first.direction.angle(&second.direction);
-                    if p != q && (seen - wanted).abs() < params.angle_tolerance_rad {
-                        found(&[(a.0, first.direction), (b.0, second.direction)]);
+                    if p == q
+                        || (seen - wanted).abs() < params.angle_tolerance_rad
+                            && found(&[(a.0, first.direction), (b.0, second.direction)])
+                    {
+                        continue;
+                    }
+                    let cos = wanted.cos();
+                    for direction in first.at_angle(second, cos).into_iter().flatten() {
+                        found(&[(a.0, direction), (b.0, second.direction)]);
+                    }
+                    for direction in second.at_angle(first, cos).into_iter().flatten() {
+                        found(&[(a.0, first.direction), (b.0, direction)]);
                     }
                 }
             }
@@ -163,9 +204,13 @@ fn space_legs(
                 continue;
             }
             let held = leg_direction(rig, l, r).filter(|(_, hold)| *hold >= params.hold_min).map(|(d, _)| d);
-            let direction = held.or_else(|| level_direction(node, l));
-            if let Some(direction) = direction {
-                legs[count] = SpaceLeg { direction };
+            let leg = match held {
+                Some(direction) => Some(SpaceLeg { direction, towards: None }),
+                None => level_direction(node, l)
+                    .map(|direction| SpaceLeg { direction, towards: Some(l.far_ray.push(1.0)) }),
+            };
+            if let Some(leg) = leg {
+                legs[count] = leg;
                 count += 1;
             }
         }
@@ -176,4 +221,23 @@ fn space_legs(
 /// The direction of a leg that lies at the depth of its node.
 fn level_direction(node: &StereoNode, leg: &super::nodes::Leg) -> Option<Vector3<f64>> {
     (leg.far_ray - leg.near_ray).push(0.0).scale(node.point_mm.z).try_normalize(1e-9)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_slope_of_wire_along_the_baseline_follows_from_its_corner() {
+        let held = Vector3::new(0.67, -0.71, -0.22).normalize();
+        let sloping = Vector3::new(-0.9, 0.01, -0.43).normalize();
+        // What the pictures show of it: the same plane through the camera.
+        let ray = Vector3::new(-0.02, 0.08, 1.0);
+        let level = (sloping - ray * sloping.z).normalize();
+        let unknown = SpaceLeg { direction: level, towards: Some(ray) };
+        let other = SpaceLeg { direction: held, towards: None };
+        let found = unknown.at_angle(&other, sloping.dot(&held));
+        assert!(found.iter().flatten().any(|d| (d - sloping).norm() < 1e-9), "{found:?}");
+        assert_eq!(other.at_angle(&unknown, 0.5), [None; 2]);
+    }
 }

@@ -125,11 +125,13 @@ impl ClaimMap {
         let fixed = |v: &Vector2<f64>| [v.x, v.y].map(|v| (v.clamp(-CELLS_MAX, CELLS_MAX) * 65536.0) as i32);
         let step = fixed(&(piece.across * (reach / f64::from(steps))));
         let middle = fixed(&(piece.expected_px / CELL_PX).add_scalar(0.5));
-        // One along the wire, too, so that none is left between two pieces.
+        // Half a width along the wire, too, so that none is left between two pieces, which are a width apart.
         let along = fixed(&Vector2::new(piece.across.y, -piece.across.x));
-        let [mut x, mut y] = [0, 1].map(|axis: usize| middle[axis] - steps * step[axis] - along[axis]);
+        let beside = (piece.half_width_px / CELL_PX - 0.5).ceil().max(1.0) as i32;
+        let [mut x, mut y] =
+            [0, 1].map(|axis: usize| middle[axis] - steps * step[axis] - beside * along[axis]);
         for _ in -steps..=steps {
-            for j in 0..3 {
+            for j in 0..=2 * beside {
                 let at = self.cell_at((x + j * along[0]) >> 16, (y + j * along[1]) >> 16);
                 if let Some(cell) = at {
                     self.cells[cell] |= direction;
@@ -355,6 +357,18 @@ mod tests {
         assert_eq!(left_mm(&claims), (0.0, true));
         claims[1].clear();
         assert_eq!(left_mm(&claims), (2.0, false));
+    }
+
+    #[test]
+    fn no_wire_is_left_between_the_pieces_of_a_thick_one() {
+        let mut claims = ClaimMap::new(200, 200);
+        let along = Vector2::new(0.8, 0.6);
+        let at = |px: f64| {
+            let place = Vector2::new(40.0, 50.0) + along * px;
+            PieceSight { half_width_px: 7.0, ..piece(place.x, place.y, [-0.6, 0.8]) }
+        };
+        (0..9).for_each(|k| claims.claim(&at(14.0 * f64::from(k))));
+        assert!((0..112).all(|px| claims.is_claimed(&at(f64::from(px)))));
     }
 
     #[test]

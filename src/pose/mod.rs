@@ -7,6 +7,7 @@ pub mod over;
 pub mod refine;
 pub mod section;
 pub mod shading;
+pub mod slide;
 mod sweep;
 pub mod verify;
 pub mod width;

@@ -170,7 +170,7 @@ pub fn verify(
 }
 
 /// What a sighting is, and the distance of the middle where both outlines are seen.
-fn sight_of(sighting: &Sighting) -> (Sight, Option<f64>) {
+pub(super) fn sight_of(sighting: &Sighting) -> (Sight, Option<f64>) {
     let half = sighting.half_width_px;
     let near = 0.35 * half + 0.4;
     let section = sighting.section.unwrap_or_default();

@@ -17,6 +17,7 @@ use crate::pose::contact::{self, Placed};
 use crate::pose::over;
 use crate::pose::refine::{self, Fit, Refine, View};
 use crate::pose::shading::Shading;
+use crate::pose::slide;
 use crate::pose::verify::{Verdict, verify};
 use crate::rig::Rig;
 use crate::time::Budget;
@@ -29,6 +30,12 @@ const SAME_MM: f64 = 1.0;
 const SAME_ROUGH_MM: [f64; 2] = [2.0, 8.0];
 /// The same for a coarse pose.
 const SAME_COARSE_MM: [f64; 2] = [1.0, 8.0];
+/// How often one that stands is dropped for others, at most.
+const EXCHANGES_MAX: usize = 8;
+/// By how much the others must be worth more together, and what each more must be worth besides, in mm of wire: of two ways to
+/// explain the wire, that with fewer parts is likelier.
+const EXCHANGE_MM: f64 = 1.0;
+const PART_MM: f64 = 10.0;
 /// Distance in pixels within which an image node is a part's end.
 pub(super) const SAME_END_PX: f64 = 5.0;
 
@@ -37,7 +44,7 @@ pub(super) struct Explanation {
     pub(super) hypothesis: Hypothesis,
     pub(super) fit: Fit,
     pub(super) verdict: Verdict,
-    /// See [`Refine::covariance`].
+    /// See [`Refine::covariance`]; of what stands in the end.
     pub(super) covariance: Matrix6<f64>,
     /// Where its free ends are expected, left and right, that both pictures show.
     ends_px: ArrayVec<[Vector2<f64>; 2], NODES_MAX>,
@@ -49,8 +56,15 @@ pub(super) struct Explanation {
     has_claimed: bool,
     /// Whether its wire is settled for all parts that are not longer.
     is_settled: bool,
+    /// What it is worth with nothing claimed.
+    alone: Worth,
     /// How many stood when it was last asked what it is worth, and what it was worth then.
     worth: (u32, Worth),
+    /// What it was worth when it stood, but for wire that goes on beyond it.
+    stood_mm: f64,
+    /// Whether it may not stand any more, and whether it is tried how the others fare without it.
+    is_dropped: bool,
+    is_left_out: bool,
 }
 
 /// What hypotheses are held against.
@@ -81,6 +95,10 @@ pub(super) struct Explanations {
     endless: Vec<(Hypothesis, Isometry3<f64>)>,
     /// Those that stand, the most valuable first, and of how many explanations; `None` where that is not known yet.
     standing: (Option<usize>, Vec<usize>),
+    /// Indices of those that stood before one was left out.
+    tried: Vec<usize>,
+    /// Indices of those that might stand in the place of others.
+    rivals: Vec<usize>,
 }
 
 impl Explanations {
@@ -98,7 +116,11 @@ impl Explanations {
             overrun_mm: 0.0,
             has_claimed: false,
             is_settled: false,
+            alone: Worth::NONE,
             worth: (0, Worth::NONE),
+            stood_mm: 0.0,
+            is_dropped: false,
+            is_left_out: false,
         };
         Self {
             refine: Refine::new(params, rig),
@@ -109,6 +131,8 @@ impl Explanations {
             ends_taken: [0, 1].map(|_| Vec::with_capacity(nodes_max)),
             endless: Vec::with_capacity(EXPLANATIONS_MAX),
             standing: (None, Vec::with_capacity(EXPLANATIONS_MAX)),
+            tried: Vec::with_capacity(EXPLANATIONS_MAX),
+            rivals: Vec::with_capacity(EXPLANATIONS_MAX),
         }
     }
 
@@ -201,7 +225,6 @@ impl Explanations {
         let verdict = &mut explanation.verdict;
         verify(&self.refine, model, &prepared.stops, &fit.left_from_part, &scene.views, verdict);
         explanation.overrun_mm = verdict.overrun_mm;
-        explanation.covariance = self.refine.covariance(model, &fit);
         explanation.ends_px.clear();
         for end in self.refine.ends() {
             if let [Some(left), Some(right)] = end
@@ -331,43 +354,24 @@ impl Explanations {
         }
     }
 
-    /// Holds the competition, if nobody has since the last explanation came.
-    pub(super) fn decide(&mut self, parts: &[Prepared], params: &select::Params) {
-        if self.standing.0 != Some(self.count) {
-            self.compete(parts, params, |_, _| true);
+    /// Decides which stand, at most so many, and makes their poses exact.
+    pub(super) fn decide(
+        &mut self,
+        parts: &[Prepared],
+        params: &select::Params,
+        views: &[View; 2],
+        most: usize,
+    ) {
+        self.weigh(parts, params);
+        self.standing.1.truncate(most);
+        for k in 0..self.standing.1.len() {
+            self.finish(self.standing.1[k], parts, views);
         }
     }
 
     /// Those that stand, the most valuable first.
-    pub(super) fn standing(
-        &mut self,
-        parts: &[Prepared],
-        params: &select::Params,
-    ) -> impl Iterator<Item = &Explanation> {
-        self.decide(parts, params);
+    pub(super) fn standing(&self) -> impl Iterator<Item = &Explanation> {
         self.standing.1.iter().map(|&index| &self.list[index])
-    }
-
-    /// Lets the explanations compete for the wire: the one that is worth most stands and claims its wire, then the next;
-    /// but for those that `may_stand` refuses, which is given what they are worth in mm.
-    fn compete(
-        &mut self,
-        parts: &[Prepared],
-        params: &select::Params,
-        may_stand: impl Fn(&Explanation, f64) -> bool,
-    ) {
-        self.begin_competition(parts, params);
-        self.standing.1.clear();
-        let mut refused = false;
-        while let Some((index, worth_mm)) = self.most_valuable(parts, params, self.standing.1.len() as u32) {
-            if may_stand(&self.list[index], worth_mm) {
-                self.claim(index);
-                self.standing.1.push(index);
-            } else {
-                refused = true;
-            }
-        }
-        self.standing.0 = (!refused).then_some(self.count);
     }
 
     /// Moves those that stand out of each other, where they cross.
@@ -386,11 +390,156 @@ impl Explanations {
         }
     }
 
-    fn begin_competition(&mut self, parts: &[Prepared], params: &select::Params) {
+    /// Makes a pose exact, and works out its covariance.
+    fn finish(&mut self, index: usize, parts: &[Prepared], views: &[View; 2]) {
+        let Explanation { hypothesis, fit, verdict, covariance, .. } = &mut self.list[index];
+        let Prepared { pose_model, stops, .. } = &parts[hypothesis.part];
+        if verdict.ends_shown == 0 {
+            fit.left_from_part = slide::to_middle(&self.refine, pose_model, &fit.left_from_part, views);
+        }
+        if let Some(exact) = self.refine.finish(pose_model, fit, views) {
+            *fit = exact;
+            verify(&self.refine, pose_model, stops, &fit.left_from_part, views, verdict);
+        }
+        *covariance = self.refine.covariance(pose_model, fit);
+    }
+
+    /// Decides which stand. What is worth most may take wire from two that together are worth more: those that leave doubt
+    /// are dropped where the others then make more of the wire.
+    fn weigh(&mut self, parts: &[Prepared], params: &select::Params) {
+        if self.standing.0 != Some(self.count) {
+            self.compete(parts, params, |_, _| true);
+        }
+        let mut best_mm = self.together_mm(parts, params);
+        for _ in 0..EXCHANGES_MAX {
+            self.tried.clear();
+            self.tried.extend(&self.standing.1);
+            self.find_rivals(parts);
+            let mut best = None;
+            let mut is_changed = false;
+            for k in 0..self.tried.len() {
+                let index = self.tried[k];
+                if !self.has_rivals(index, parts) {
+                    continue;
+                }
+                is_changed = true;
+                self.leave_out(index, parts);
+                let worth_mm = self.hold(parts, params, |_, _| true);
+                if worth_mm > best_mm + EXCHANGE_MM {
+                    (best_mm, best) = (worth_mm, Some(index));
+                }
+            }
+            if let Some(index) = best {
+                self.leave_out(index, parts);
+                self.list[..self.count].iter_mut().for_each(|e| e.is_dropped |= e.is_left_out);
+                self.hold(parts, params, |_, _| true);
+                continue;
+            }
+            if is_changed {
+                // The claims are not those of what stands any more, and nobody asks for them.
+                std::mem::swap(&mut self.standing.1, &mut self.tried);
+            }
+            return;
+        }
+    }
+
+    /// Leaves out one that stands, and other places of the same part along its wire, but nothing else any more.
+    fn leave_out(&mut self, index: usize, parts: &[Prepared]) {
+        let Explanation { hypothesis: Hypothesis { part, .. }, fit, .. } = self.list[index];
+        for e in &mut self.list[..self.count] {
+            e.is_left_out = e.hypothesis.part == part
+                && parts[part].is_same_wire(&fit.left_from_part, &e.fit.left_from_part);
+        }
+    }
+
+    /// Fills `rivals` with those that have a case but for what stands, `tried`, and are more than other places of it.
+    fn find_rivals(&mut self, parts: &[Prepared]) {
+        let Self { list, count, tried, rivals, .. } = self;
+        let list = &list[..*count];
+        rivals.clear();
+        rivals.extend((0..list.len()).filter(|&j| {
+            let rival = &list[j];
+            let prepared = &parts[rival.hypothesis.part];
+            let pose = &rival.fit.left_from_part;
+            rival.alone.now_mm > 0.0
+                && !rival.is_dropped
+                && !tried.iter().any(|&k| {
+                    let standing = &list[k];
+                    standing.hypothesis.part == rival.hypothesis.part
+                        && prepared.is_same_wire(&standing.fit.left_from_part, pose)
+                })
+        }));
+    }
+
+    /// Whether one that stands leaves doubt, and rivals are near.
+    fn has_rivals(&self, index: usize, parts: &[Prepared]) -> bool {
+        let place = |e: &Explanation| {
+            let model = &parts[e.hypothesis.part].pose_model;
+            (e.fit.left_from_part * model.centre_mm, model.length_mm / 2.0)
+        };
+        let standing = &self.list[index];
+        let (centre, half_mm) = place(standing);
+        !select::is_sound(&standing.fit, &standing.verdict, standing.verdict.overrun_mm)
+            && self.rivals.iter().any(|&j| {
+                let (other, other_half_mm) = place(&self.list[j]);
+                (other - centre).norm() < half_mm + other_half_mm
+            })
+    }
+
+    /// Lets the explanations compete for the wire: the one that is worth most stands and claims its wire, then the next;
+    /// but for those that `may_stand` refuses, which is given what they are worth in mm.
+    fn compete(
+        &mut self,
+        parts: &[Prepared],
+        params: &select::Params,
+        may_stand: impl Fn(&Explanation, f64) -> bool,
+    ) {
         self.claims.iter_mut().for_each(ClaimMap::clear);
         for explanation in &mut self.list[..self.count] {
-            explanation.worth = (0, explanation.worth(parts, params, &self.claims));
+            explanation.alone = explanation.worth(parts, params, &self.claims);
+            (explanation.is_dropped, explanation.is_left_out) = (false, false);
         }
+        self.hold(parts, params, may_stand);
+    }
+
+    /// Holds the competition without those that are dropped or left out; gives what those that stand are
+    /// [worth together](Self::together_mm).
+    fn hold(
+        &mut self,
+        parts: &[Prepared],
+        params: &select::Params,
+        may_stand: impl Fn(&Explanation, f64) -> bool,
+    ) -> f64 {
+        self.claims.iter_mut().for_each(ClaimMap::clear);
+        for explanation in &mut self.list[..self.count] {
+            let stays = !explanation.is_dropped && !explanation.is_left_out;
+            explanation.worth = (0, if stays { explanation.alone } else { Worth::NONE });
+        }
+        self.standing.1.clear();
+        let mut refused = false;
+        while let Some((index, worth)) = self.most_valuable(parts, params, self.standing.1.len() as u32) {
+            if may_stand(&self.list[index], worth.now_mm) {
+                self.claim(index);
+                self.standing.1.push(index);
+                self.list[index].stood_mm = worth.at_most_mm;
+            } else {
+                refused = true;
+            }
+        }
+        self.standing.0 = (!refused).then_some(self.count);
+        self.together_mm(parts, params)
+    }
+
+    /// What those that stand are worth together, in mm, less [`PART_MM`] for each. Wire that goes on beyond one is no riddle
+    /// where another has claimed it in the end.
+    fn together_mm(&self, parts: &[Prepared], params: &select::Params) -> f64 {
+        let worths = self.standing.1.iter().map(|&index| {
+            let Explanation { hypothesis, verdict, stood_mm, .. } = &self.list[index];
+            let model = &parts[hypothesis.part].pose_model;
+            let overrun_mm = select::unclaimed_overrun_mm(model, verdict, &self.claims);
+            stood_mm - params.against * overrun_mm - PART_MM
+        });
+        worths.sum()
     }
 
     /// The one that is worth most, given what the `standing` ones before have claimed, and what it is worth; once.
@@ -399,7 +548,7 @@ impl Explanations {
         parts: &[Prepared],
         params: &select::Params,
         standing: u32,
-    ) -> Option<(usize, f64)> {
+    ) -> Option<(usize, Worth)> {
         loop {
             // A worth from before the last claim says only how much it is at most.
             let worth_mm = |e: &Explanation| match e.worth {
@@ -407,10 +556,11 @@ impl Explanations {
                 (_, worth) => worth.at_most_mm,
             };
             let most = self.all().iter().map(worth_mm).enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
-            let (index, worth_mm) = most.filter(|(_, worth_mm)| *worth_mm > 0.0)?;
-            if self.list[index].worth.0 == standing {
+            let (index, _) = most.filter(|(_, worth_mm)| *worth_mm > 0.0)?;
+            let (asked, worth) = self.list[index].worth;
+            if asked == standing {
                 self.list[index].worth.1 = Worth::NONE;
-                return Some((index, worth_mm));
+                return Some((index, worth));
             }
             self.list[index].worth = (standing, self.list[index].worth(parts, params, &self.claims));
         }
@@ -445,10 +595,14 @@ fn take_end(nodes: &[ImageNode], at: &Vector2<f64>, taken: &mut [f64], length_mm
 mod tests {
     use std::path::Path;
 
+    use nalgebra::Point3;
+
     use super::*;
-    use crate::frame::FramePair;
+    use crate::frame::{Frame, FramePair};
     use crate::part::Part;
+    use crate::recognize::views::views;
     use crate::recognize::{Params, Recognition, Recognizer};
+    use crate::rig::CameraModel;
     use crate::session::read_picture;
 
     /// What a pair of the recorded session, ten rods over each other, made the recogniser know.
@@ -486,18 +640,100 @@ mod tests {
     #[test]
     fn the_competition_ends_as_if_every_worth_were_asked_again_each_time() {
         let Recognizer { mut explanations, parts, params, .. } = after_a_pair();
-        let expected: Vec<_> = compete_slowly(&mut explanations, &parts, &params.select)
-            .into_iter()
-            .map(|i| explanations.list[i].fit.left_from_part)
-            .collect();
+        let expected = compete_slowly(&mut explanations, &parts, &params.select);
         explanations.standing.0 = None;
-        let found: Vec<_> =
-            explanations.standing(&parts, &params.select).map(|e| e.fit.left_from_part).collect();
-        assert_eq!(found, expected);
+        explanations.weigh(&parts, &params.select);
+        assert_eq!(explanations.standing.1, expected);
         // What is known already is not held again, and the same.
-        let again = explanations.standing(&parts, &params.select).map(|e| e.fit.left_from_part);
-        assert!(again.eq(expected));
-        assert_eq!(found.len(), 10);
+        explanations.weigh(&parts, &params.select);
+        assert_eq!(explanations.standing.1, expected);
+        assert_eq!(expected.len(), 10);
         assert!(explanations.count > 10, "others were refused");
+    }
+
+    /// Lit rods of 3 mm from one place to another, both in the left camera's frame, on a dark floor.
+    fn drawn(rig: &Rig, rods: &[[Point3<f64>; 2]]) -> FramePair {
+        let frame = |side: usize| {
+            let see = |p: &Point3<f64>| if side == 0 { rig.project_left(p) } else { rig.project_right(p) };
+            let rods: Vec<_> = rods.iter().map(|rod| rod.map(|p| see(&p).unwrap())).collect();
+            let grey = |x: usize, y: usize| {
+                let px = Vector2::new(x as f64, y as f64);
+                let covered = |[a, b]: &[Vector2<f64>; 2]| {
+                    let along = (b - a).normalize();
+                    let half_px = 1.5 * 1150.0 / 500.0;
+                    let inside = (px - a).dot(&along).min((b - px).dot(&along));
+                    let beside = half_px - (px - a).perp(&along).abs();
+                    (inside + 0.5).clamp(0.0, 1.0) * (beside + 0.5).clamp(0.0, 1.0) * (1.0 + 0.05 * beside)
+                };
+                40.0 + 140.0 * rods.iter().map(covered).fold(0.0, f64::max)
+            };
+            let pixels = (0..480).flat_map(|y| (0..640).flat_map(move |x| [(x, y); 3]));
+            Frame::from_rgb(640, 480, pixels.map(|(x, y)| grey(x, y) as u8).collect())
+        };
+        FramePair { left: frame(0), right: frame(1) }
+    }
+
+    fn rod(name: &str, length_mm: f64) -> Part {
+        let half = length_mm / 2.0;
+        let text = format!(
+            "name = '{name}'\nthickness_mm = 3.0\nnode = [{{ name = 'a', position_mm = [-{half:.1}, 0.0, 0.0] }}, \
+             {{ name = 'b', position_mm = [{half:.1}, 0.0, 0.0] }}]\nedge = [{{ from = 'a', to = 'b' }}]\n\
+             grasp = {{ position_mm = [0.0, 0.0, 0.0], approach = [0.0, 0.0, -1.0], closing = [0.0, 1.0, 0.0], \
+             width_mm = 8.0 }}\n"
+        );
+        Part::parse(&text, "test.toml").unwrap()
+    }
+
+    #[test]
+    fn two_that_explain_all_wire_stand_before_one_that_explains_most_of_it() {
+        let camera = CameraModel::pinhole(640, 480, 1150.0, 320.0, 240.0);
+        let rig =
+            Rig { left: camera, right: camera, right_from_left: Isometry3::translation(-60.0, 0.0, 0.0) };
+        // End to end, without a gap that the mask would show: a rod of 120 mm fits the middle, too.
+        let along = Vector3::new(0.5, 0.8, 0.0).normalize();
+        let at = |mm: f64| Point3::new(30.0, 0.0, 500.0) + along * mm;
+        let pair = drawn(&rig, &[[at(-75.0), at(75.0)]]);
+        let mut recognizer =
+            Recognizer::new(Params::default(), rig, vec![rod("rod-120", 120.0), rod("rod-75", 75.0)])
+                .unwrap();
+        let mut found = Recognition::default();
+        recognizer.run(&pair, Budget::Iterations(100_000), 1, &mut found).unwrap();
+        let mut middles: Vec<_> = found
+            .parts
+            .iter()
+            .map(|p| (p.part, (p.left_from_part.translation.vector - at(0.0).coords).dot(&along)))
+            .collect();
+        middles.sort_by(|a, b| a.1.total_cmp(&b.1));
+        let [(1, first), (1, second)] = middles[..] else { panic!("{middles:?}") };
+        assert!((first + 37.5).abs() < 1.0 && (second - 37.5).abs() < 1.0, "{first} {second}");
+    }
+
+    #[test]
+    fn a_rod_with_both_ends_on_others_lies_in_the_middle_of_where_it_can() {
+        let camera = CameraModel::pinhole(640, 480, 1150.0, 320.0, 240.0);
+        let rig =
+            Rig { left: camera, right: camera, right_from_left: Isometry3::translation(-60.0, 0.0, 0.0) };
+        let (along, across) =
+            (Vector3::new(0.5, 0.8, 0.0).normalize(), Vector3::new(0.8, -0.5, 0.0).normalize());
+        let at = |mm: f64, beside_mm: f64| Point3::new(30.0, 0.0, 500.0) + along * mm + across * beside_mm;
+        let pair = drawn(
+            &rig,
+            &[
+                [at(-37.5, 0.0), at(37.5, 0.0)],
+                [at(-37.5, -20.0), at(-37.5, 20.0)],
+                [at(37.5, -20.0), at(37.5, 20.0)],
+            ],
+        );
+        let mut recognizer = Recognizer::new(Params::default(), rig, vec![rod("rod-75", 75.0)]).unwrap();
+        recognizer.run(&pair, Budget::Iterations(100_000), 1, &mut Recognition::default()).unwrap();
+        let Recognizer { pictures, rig, params, parts, explanations, .. } = recognizer;
+        let views = views(&pictures, &rig, &pair, &params).unwrap();
+        let turn = nalgebra::UnitQuaternion::rotation_between(&Vector3::x(), &along).unwrap();
+        for displaced_mm in [-5.0, 0.0, 5.0] {
+            let pose = Isometry3::from_parts(at(displaced_mm, 0.0).into(), turn);
+            let found = slide::to_middle(&explanations.refine, &parts[0].pose_model, &pose, &views);
+            let place_mm = (found.translation.vector - at(0.0, 0.0).coords).dot(&along);
+            assert!(place_mm.abs() < 0.8, "{displaced_mm}: {place_mm}");
+        }
     }
 }

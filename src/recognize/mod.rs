@@ -286,9 +286,9 @@ impl Recognizer {
         let Self { explanations, parts, rig, pictures, params, .. } = self;
         let Some(views) = views(pictures, rig, pair, params) else { return };
         let shading = explanations.shading();
-        explanations.decide(parts, &params.select);
+        explanations.decide(parts, &params.select, &views, PARTS_MAX);
         explanations.press_apart(parts, &grasp::down_in_left(&params.grasp), &views);
-        let standing = explanations.standing(parts, &params.select).take(PARTS_MAX);
+        let standing = explanations.standing();
         out.parts.extend(standing.map(|explanation| {
             let prepared = &parts[explanation.hypothesis.part];
             found(params, rig, pictures, prepared, explanation, &shading, &views, out.iterations)

@@ -94,6 +94,13 @@ impl Prepared {
         }
     }
 
+    /// Whether the part at a pose `b` is but another place along the wire that it has at a pose `a`.
+    pub(super) fn is_same_wire(&self, a: &Isometry3<f64>, b: &Isometry3<f64>) -> bool {
+        let apart_mm = (a * self.middle_mm - b * self.middle_mm).norm();
+        apart_mm < self.pose_model.length_mm / 2.0
+            && self.beside_mm(a, b) < SAME_WIRE_RADII * self.pose_model.radius_mm
+    }
+
     /// Mean distance of the part's nodes and bends between two poses, under the symmetry that makes it least.
     pub(super) fn distance_mm(&self, a: &Isometry3<f64>, b: &Isometry3<f64>) -> f64 {
         let anchors = &self.match_model.anchors;
@@ -109,6 +116,9 @@ impl Prepared {
             .fold(mean(&Isometry3::identity()), f64::min)
     }
 }
+
+/// How far two places of a part that are one wire lie beside each other: errors of depth, in radii.
+const SAME_WIRE_RADII: f64 = 2.0;
 
 /// See [`Prepared::raised_rad`]: of a part that is not flat the least over many ways in which it may lie.
 fn raised_rad(model: &MatchModel) -> f64 {

@@ -44,6 +44,8 @@ const FINE_NEXT: (f64, [f64; 4]) = (1.5, [0.7, 1.9 / 3.0, 1.7 / 3.0, 0.5]);
 const COARSE_SETTLED_RADII: f64 = 0.3;
 /// A pose that moved the wire by less than this in the pictures need not be looked at again.
 const SETTLED_PX: f64 = 0.7;
+/// One that moved it by less than this stays.
+const STAYS_PX: f64 = 0.1;
 
 /// One picture, as pose estimation reads it.
 #[derive(Clone, Copy)]
@@ -193,6 +195,26 @@ impl Refine {
             let shift_px = self.shift(&solution.step);
             last = Some(solution);
             if shift_px < SETTLED_PX {
+                break;
+            }
+        }
+        let solution = last?;
+        Some(Fit { left_from_part: pose, misfit: solution.misfit, believed: solution.believed })
+    }
+
+    /// Refines a [fine](Refine::fine) pose until it stays: what was looked for from farther away may have been another's.
+    /// `None` where it is lost.
+    pub fn finish(&mut self, model: &PoseModel, fit: &Fit, views: &[View; 2]) -> Option<Fit> {
+        let (search_px, scales_px) = FINE_NEXT;
+        let mut pose = fit.left_from_part;
+        let mut last = None;
+        for _ in 0..self.params.finish_rounds {
+            self.look(model, &pose, views, search_px);
+            self.observe_outlines(model, search_px, |_, _| {});
+            let solution = self.solve(model, &mut pose, &scales_px)?;
+            let shift_px = self.shift(&solution.step);
+            last = Some(solution);
+            if shift_px < STAYS_PX {
                 break;
             }
         }
@@ -390,6 +412,7 @@ impl Refine {
         let aim = aim(radius_mm, &lifted, tangent, view)?;
         Some(Sighting {
             section: view.profiler.across(aim.px, aim.across, aim.half_width_px, 1.0),
+            object: view.mask.get(nearest(aim.px.x), nearest(aim.px.y)),
             expected_px: aim.px,
             across: aim.across,
             half_width_px: aim.half_width_px,

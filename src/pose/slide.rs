@@ -1,0 +1,72 @@
+//! Where along its wire a straight part lies that shows no end.
+//!
+//! Nothing holds such a part along itself but what is seen of its wire: it lies where there is wire, and not where wire
+//! of its width is seen to go on beyond it. Where a neighbour hides both of its ends, that leaves some places; it most
+//! likely lies in their middle.
+
+use arrayvec::ArrayVec;
+use nalgebra::{Isometry3, Translation3};
+
+use super::model::PoseModel;
+use super::refine::{Refine, View};
+use super::verify::{Sight, sight_of};
+
+/// How far a part may be displaced, in thicknesses, each way.
+const REACH_THICKNESSES: f64 = 5.0;
+/// Places that are looked at for each thickness of wire.
+const PLACES_A_THICKNESS: f64 = 2.0;
+/// Most places.
+const PLACES_MAX: usize = 512;
+/// Places of the part that are as good as the best, to this many places of wire with both outlines.
+const AS_GOOD: f64 = 0.5;
+
+/// What it says for a part that a place lies on it rather than beyond it, over what a place with both outlines is worth that
+/// it explains.
+fn gain(sight: Sight) -> f64 {
+    match sight {
+        Sight::Clear => 4.0,
+        Sight::OneSide => 0.7,
+        Sight::Crossed | Sight::Outside => 0.0,
+        Sight::Missing => -3.0,
+    }
+}
+
+/// The pose of a straight part, displaced along itself to the middle of the places where the wire is that both pictures show
+/// (left camera's frame).
+pub fn to_middle(
+    refine: &Refine,
+    model: &PoseModel,
+    pose: &Isometry3<f64>,
+    views: &[View; 2],
+) -> Isometry3<f64> {
+    let Some(along) = model.straight_along else { return *pose };
+    let step_mm = 2.0 * model.radius_mm / PLACES_A_THICKNESS;
+    let reach = (REACH_THICKNESSES * PLACES_A_THICKNESS) as usize;
+    let inside = (model.length_mm / step_mm).round() as usize;
+    let count = inside + 2 * reach;
+    if count > PLACES_MAX {
+        return *pose;
+    }
+    let (along, centre) = (pose.rotation * along, pose * model.centre_mm);
+    let at = |place: f64| centre + along * ((place - (count as f64 - 1.0) / 2.0) * step_mm);
+    // Sums of what all places before one say.
+    let mut sums: ArrayVec<f64, { PLACES_MAX + 1 }> = ArrayVec::new();
+    let mut sum = 0.0;
+    sums.push(sum);
+    for place in 0..count {
+        for view in views {
+            let seen = refine.look_beyond(model.radius_mm, &at(place as f64), &along, view);
+            sum += seen.map_or(0.0, |sighting| gain(sight_of(&sighting).0));
+        }
+        sums.push(sum);
+    }
+    let worth = |first: usize| sums[first + inside] - sums[first];
+    let best = (0..=2 * reach).map(worth).fold(f64::NEG_INFINITY, f64::max);
+    let as_good = |first: &usize| worth(*first) >= best - AS_GOOD * gain(Sight::Clear);
+    let (mut places, mut sum) = (0, 0);
+    for first in (0..=2 * reach).filter(as_good) {
+        (places, sum) = (places + 1, sum + first);
+    }
+    let displaced = f64::from(sum as u32) / f64::from(places.max(1)) - reach as f64;
+    Translation3::from(along * (displaced * step_mm)) * pose
+}
