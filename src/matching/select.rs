@@ -127,7 +127,7 @@ impl ClaimMap {
         let middle = fixed(&(piece.expected_px / CELL_PX).add_scalar(0.5));
         // Half a width along the wire, too, so that none is left between two pieces, which are a width apart.
         let along = fixed(&Vector2::new(piece.across.y, -piece.across.x));
-        let beside = (piece.half_width_px / CELL_PX - 0.5).ceil().clamp(1.0, 64.0) as i32;
+        let beside = (piece.half_width_px / CELL_PX - 0.25).ceil().clamp(1.0, 64.0) as i32;
         let [mut x, mut y] =
             [0, 1].map(|axis: usize| middle[axis] - steps * step[axis] - beside * along[axis]);
         for _ in -steps..=steps {
