@@ -44,7 +44,7 @@ pub(super) struct Explanation {
     pub(super) hypothesis: Hypothesis,
     pub(super) fit: Fit,
     pub(super) verdict: Verdict,
-    /// See [`Refine::covariance`]; of what stands in the end.
+    /// See [`Refine::covariance`].
     pub(super) covariance: Matrix6<f64>,
     /// Where its free ends are expected, left and right, that both pictures show.
     ends_px: ArrayVec<[Vector2<f64>; 2], NODES_MAX>,
@@ -225,6 +225,7 @@ impl Explanations {
         let verdict = &mut explanation.verdict;
         verify(&self.refine, model, &prepared.stops, &fit.left_from_part, &scene.views, verdict);
         explanation.overrun_mm = verdict.overrun_mm;
+        explanation.covariance = self.refine.covariance(model, &fit);
         explanation.ends_px.clear();
         for end in self.refine.ends() {
             if let [Some(left), Some(right)] = end
@@ -354,7 +355,7 @@ impl Explanations {
         }
     }
 
-    /// Decides which stand, at most so many, and makes their poses exact.
+    /// Decides which stand, at most so many, and where those lie that nothing holds along themselves.
     pub(super) fn decide(
         &mut self,
         parts: &[Prepared],
@@ -365,7 +366,7 @@ impl Explanations {
         self.weigh(parts, params);
         self.standing.1.truncate(most);
         for k in 0..self.standing.1.len() {
-            self.finish(self.standing.1[k], parts, views);
+            self.centre(self.standing.1[k], parts, views);
         }
     }
 
@@ -390,18 +391,19 @@ impl Explanations {
         }
     }
 
-    /// Makes a pose exact, and works out its covariance.
-    fn finish(&mut self, index: usize, parts: &[Prepared], views: &[View; 2]) {
+    /// Moves a part that nothing holds along itself to the middle of where it can lie, and looks at it there.
+    fn centre(&mut self, index: usize, parts: &[Prepared], views: &[View; 2]) {
         let Explanation { hypothesis, fit, verdict, covariance, .. } = &mut self.list[index];
         let Prepared { pose_model, stops, .. } = &parts[hypothesis.part];
-        if verdict.ends_shown == 0 {
-            fit.left_from_part = slide::to_middle(&self.refine, pose_model, &fit.left_from_part, views);
+        if verdict.ends_shown > 0 || pose_model.straight_along.is_none() {
+            return;
         }
-        if let Some(exact) = self.refine.finish(pose_model, fit, views) {
-            *fit = exact;
+        let middle = slide::to_middle(&self.refine, pose_model, &fit.left_from_part, views);
+        if let Some(there) = self.refine.again(pose_model, &middle, views) {
+            *fit = there;
             verify(&self.refine, pose_model, stops, &fit.left_from_part, views, verdict);
+            *covariance = self.refine.covariance(pose_model, fit);
         }
-        *covariance = self.refine.covariance(pose_model, fit);
     }
 
     /// Decides which stand. What is worth most may take wire from two that together are worth more: those that leave doubt

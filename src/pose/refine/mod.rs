@@ -44,8 +44,6 @@ const FINE_NEXT: (f64, [f64; 4]) = (1.5, [0.7, 1.9 / 3.0, 1.7 / 3.0, 0.5]);
 const COARSE_SETTLED_RADII: f64 = 0.3;
 /// A pose that moved the wire by less than this in the pictures need not be looked at again.
 const SETTLED_PX: f64 = 0.7;
-/// One that moved it by less than this stays.
-const STAYS_PX: f64 = 0.1;
 
 /// One picture, as pose estimation reads it.
 #[derive(Clone, Copy)]
@@ -202,23 +200,14 @@ impl Refine {
         Some(Fit { left_from_part: pose, misfit: solution.misfit, believed: solution.believed })
     }
 
-    /// Refines a [fine](Refine::fine) pose until it stays: what was looked for from farther away may have been another's.
-    /// `None` where it is lost.
-    pub fn finish(&mut self, model: &PoseModel, fit: &Fit, views: &[View; 2]) -> Option<Fit> {
+    /// Refines a pose that is [fine](Refine::fine) already, or nearly so, with one more look. `None` where it is lost.
+    pub fn again(&mut self, model: &PoseModel, start: &Isometry3<f64>, views: &[View; 2]) -> Option<Fit> {
         let (search_px, scales_px) = FINE_NEXT;
-        let mut pose = fit.left_from_part;
-        let mut last = None;
-        for _ in 0..self.params.finish_rounds {
-            self.look(model, &pose, views, search_px);
-            self.observe_outlines(model, search_px, |_, _| {});
-            let solution = self.solve(model, &mut pose, &scales_px)?;
-            let shift_px = self.shift(&solution.step);
-            last = Some(solution);
-            if shift_px < STAYS_PX {
-                break;
-            }
-        }
-        let solution = last?;
+        let mut pose = *start;
+        self.look(model, &pose, views, search_px);
+        self.observe_outlines(model, search_px, |_, _| {});
+        let solution = self.solve(model, &mut pose, &scales_px)?;
+        self.shift(&solution.step);
         Some(Fit { left_from_part: pose, misfit: solution.misfit, believed: solution.believed })
     }
 

@@ -28,8 +28,6 @@ pub struct Params {
     pub coarse_rounds: u32,
     /// Rounds with the grey values, at most.
     pub fine_rounds: u32,
-    /// Rounds with them of a part that stands, at most, to have its pose exact.
-    pub finish_rounds: u32,
     /// Share of background along the wire up to which a rough pose is refined of which no end is seen: nothing would
     /// move it along the wire any more. Twice what [a part may have](crate::matching::select::Params::missing_max).
     pub missing_max: f64,
@@ -49,7 +47,6 @@ impl Default for Params {
             end_reach_radii: 0.03,
             coarse_rounds: 2,
             fine_rounds: 3,
-            finish_rounds: 2,
             missing_max: 0.16,
         }
     }
