@@ -1,0 +1,257 @@
+//! The competition of explanations for the wire, and what is done to those that stand.
+
+use nalgebra::Vector3;
+
+use super::{Explanation, Explanations};
+use crate::matching::hypotheses::Hypothesis;
+use crate::matching::select::{self, ClaimMap, Worth};
+use crate::pose::contact::{self, Placed};
+use crate::pose::over;
+use crate::pose::refine::View;
+use crate::pose::slide;
+use crate::pose::verify::verify;
+use crate::recognize::prepared::Prepared;
+
+/// How often one that stands is dropped for others, at most.
+const EXCHANGES_MAX: usize = 8;
+/// By how much the others must be worth more together, and what each more must be worth besides, in mm of wire: of two ways to
+/// explain the wire, that with fewer parts is likelier.
+const EXCHANGE_MM: f64 = 1.0;
+const PART_MM: f64 = 10.0;
+impl Explanations {
+    /// Claims the wire of those that would stand now and are worth all their wire, besides what is claimed for certain.
+    pub(in crate::recognize) fn claim_whole(&mut self, parts: &[Prepared], params: &select::Params) {
+        self.compete(parts, params, |explanation, worth_mm| {
+            explanation.has_claimed || worth_mm >= parts[explanation.hypothesis.part].pose_model.length_mm
+        });
+        for k in 0..self.standing.1.len() {
+            self.settle(self.standing.1[k], parts);
+        }
+    }
+
+    /// Decides which stand, at most so many, and where those lie that nothing holds along themselves.
+    pub(in crate::recognize) fn decide(
+        &mut self,
+        parts: &[Prepared],
+        params: &select::Params,
+        views: &[View; 2],
+        most: usize,
+    ) {
+        self.weigh(parts, params);
+        self.standing.1.truncate(most);
+        for k in 0..self.standing.1.len() {
+            self.centre(self.standing.1[k], parts, views);
+        }
+    }
+
+    /// Those that stand, the most valuable first.
+    pub(in crate::recognize) fn standing(&self) -> impl Iterator<Item = &Explanation> {
+        self.standing.1.iter().map(|&index| &self.list[index])
+    }
+
+    /// Moves those that stand out of each other, where they cross.
+    pub(in crate::recognize) fn press_apart(
+        &mut self,
+        parts: &[Prepared],
+        down: &Vector3<f64>,
+        views: &[View; 2],
+    ) {
+        let standing = &self.standing.1;
+        for (k, &one) in standing.iter().enumerate() {
+            for &other in &standing[..k] {
+                let Ok([a, b]) = self.list.get_disjoint_mut([one, other]) else { continue };
+                let [mut a, mut b] = [a, b].map(|e| Placed {
+                    model: &parts[e.hypothesis.part].pose_model,
+                    left_from_part: &mut e.fit.left_from_part,
+                    covariance: &mut e.covariance,
+                });
+                contact::press_apart(&mut a, &mut b, down, |a, b| over::is_over(a, b, views));
+            }
+        }
+    }
+
+    /// Moves a part that nothing holds along itself to the middle of where it can lie, and looks at it there.
+    fn centre(&mut self, index: usize, parts: &[Prepared], views: &[View; 2]) {
+        let Explanation { hypothesis, fit, verdict, covariance, .. } = &mut self.list[index];
+        let Prepared { pose_model, stops, .. } = &parts[hypothesis.part];
+        if verdict.ends_shown > 0 || pose_model.straight_along.is_none() {
+            return;
+        }
+        let middle = slide::to_middle(&self.refine, pose_model, &fit.left_from_part, views);
+        if let Some(there) = self.refine.again(pose_model, &middle, views) {
+            *fit = there;
+            verify(&self.refine, pose_model, stops, &fit.left_from_part, views, verdict);
+            *covariance = self.refine.covariance(pose_model, fit);
+        }
+    }
+
+    /// Decides which stand. What is worth most may take wire from two that together are worth more: those that leave doubt
+    /// are dropped where the others then make more of the wire.
+    pub(super) fn weigh(&mut self, parts: &[Prepared], params: &select::Params) {
+        if self.standing.0 != Some(self.count) {
+            self.compete(parts, params, |_, _| true);
+        }
+        let mut best_mm = self.together_mm(parts, params);
+        for _ in 0..EXCHANGES_MAX {
+            self.tried.clear();
+            self.tried.extend(&self.standing.1);
+            self.find_rivals(parts);
+            let mut best = None;
+            let mut is_changed = false;
+            for k in 0..self.tried.len() {
+                let index = self.tried[k];
+                if !self.has_rivals(index, parts) {
+                    continue;
+                }
+                is_changed = true;
+                self.leave_out(index, parts);
+                let worth_mm = self.hold(parts, params, |_, _| true);
+                if worth_mm > best_mm + EXCHANGE_MM {
+                    (best_mm, best) = (worth_mm, Some(index));
+                }
+            }
+            if let Some(index) = best {
+                self.leave_out(index, parts);
+                self.list[..self.count].iter_mut().for_each(|e| e.is_dropped |= e.is_left_out);
+                self.hold(parts, params, |_, _| true);
+                continue;
+            }
+            if is_changed {
+                // The claims are not those of what stands any more, and nobody asks for them.
+                std::mem::swap(&mut self.standing.1, &mut self.tried);
+            }
+            return;
+        }
+    }
+
+    /// Leaves out one that stands, and other places of the same part along its wire, but nothing else any more.
+    fn leave_out(&mut self, index: usize, parts: &[Prepared]) {
+        let Explanation { hypothesis: Hypothesis { part, .. }, fit, .. } = self.list[index];
+        for e in &mut self.list[..self.count] {
+            e.is_left_out = e.hypothesis.part == part
+                && parts[part].is_same_wire(&fit.left_from_part, &e.fit.left_from_part);
+        }
+    }
+
+    /// Fills `rivals` with those that have a case but for what stands, `tried`, and are more than other places of it.
+    fn find_rivals(&mut self, parts: &[Prepared]) {
+        let Self { list, count, tried, rivals, .. } = self;
+        let list = &list[..*count];
+        rivals.clear();
+        rivals.extend((0..list.len()).filter(|&j| {
+            let rival = &list[j];
+            let prepared = &parts[rival.hypothesis.part];
+            let pose = &rival.fit.left_from_part;
+            rival.alone.now_mm > 0.0
+                && !rival.is_dropped
+                && !tried.iter().any(|&k| {
+                    let standing = &list[k];
+                    standing.hypothesis.part == rival.hypothesis.part
+                        && prepared.is_same_wire(&standing.fit.left_from_part, pose)
+                })
+        }));
+    }
+
+    /// Whether one that stands leaves doubt, and rivals are near.
+    fn has_rivals(&self, index: usize, parts: &[Prepared]) -> bool {
+        let place = |e: &Explanation| {
+            let model = &parts[e.hypothesis.part].pose_model;
+            (e.fit.left_from_part * model.centre_mm, model.length_mm / 2.0)
+        };
+        let standing = &self.list[index];
+        let (centre, half_mm) = place(standing);
+        !select::is_sound(&standing.fit, &standing.verdict, standing.verdict.overrun_mm)
+            && self.rivals.iter().any(|&j| {
+                let (other, other_half_mm) = place(&self.list[j]);
+                (other - centre).norm() < half_mm + other_half_mm
+            })
+    }
+
+    /// Lets the explanations compete for the wire: the one that is worth most stands and claims its wire, then the next;
+    /// but for those that `may_stand` refuses, which is given what they are worth in mm.
+    fn compete(
+        &mut self,
+        parts: &[Prepared],
+        params: &select::Params,
+        may_stand: impl Fn(&Explanation, f64) -> bool,
+    ) {
+        self.claims.iter_mut().for_each(ClaimMap::clear);
+        for explanation in &mut self.list[..self.count] {
+            explanation.alone = explanation.worth(parts, params, &self.claims);
+            (explanation.is_dropped, explanation.is_left_out) = (false, false);
+        }
+        self.hold(parts, params, may_stand);
+    }
+
+    /// Holds the competition without those that are dropped or left out; gives what those that stand are
+    /// [worth together](Self::together_mm).
+    fn hold(
+        &mut self,
+        parts: &[Prepared],
+        params: &select::Params,
+        may_stand: impl Fn(&Explanation, f64) -> bool,
+    ) -> f64 {
+        self.claims.iter_mut().for_each(ClaimMap::clear);
+        for explanation in &mut self.list[..self.count] {
+            let stays = !explanation.is_dropped && !explanation.is_left_out;
+            explanation.worth = (0, if stays { explanation.alone } else { Worth::NONE });
+        }
+        self.standing.1.clear();
+        let mut refused = false;
+        while let Some((index, worth)) = self.most_valuable(parts, params, self.standing.1.len() as u32) {
+            if may_stand(&self.list[index], worth.now_mm) {
+                self.claim(index);
+                self.standing.1.push(index);
+                self.list[index].stood_mm = worth.at_most_mm;
+            } else {
+                refused = true;
+            }
+        }
+        self.standing.0 = (!refused).then_some(self.count);
+        self.together_mm(parts, params)
+    }
+
+    /// What those that stand are worth together, in mm, less [`PART_MM`] for each. Wire that goes on beyond one is no riddle
+    /// where another has claimed it in the end.
+    fn together_mm(&self, parts: &[Prepared], params: &select::Params) -> f64 {
+        let worths = self.standing.1.iter().map(|&index| {
+            let Explanation { hypothesis, verdict, stood_mm, .. } = &self.list[index];
+            let model = &parts[hypothesis.part].pose_model;
+            let overrun_mm = select::unclaimed_overrun_mm(model, verdict, &self.claims);
+            stood_mm - params.against * overrun_mm - PART_MM
+        });
+        worths.sum()
+    }
+
+    /// The one that is worth most, given what the `standing` ones before have claimed, and what it is worth; once.
+    fn most_valuable(
+        &mut self,
+        parts: &[Prepared],
+        params: &select::Params,
+        standing: u32,
+    ) -> Option<(usize, Worth)> {
+        loop {
+            // A worth from before the last claim says only how much it is at most.
+            let worth_mm = |e: &Explanation| match e.worth {
+                (asked, worth) if asked == standing => worth.now_mm,
+                (_, worth) => worth.at_most_mm,
+            };
+            let most = self.all().iter().map(worth_mm).enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
+            let (index, _) = most.filter(|(_, worth_mm)| *worth_mm > 0.0)?;
+            let (asked, worth) = self.list[index].worth;
+            if asked == standing {
+                self.list[index].worth.1 = Worth::NONE;
+                return Some((index, worth));
+            }
+            self.list[index].worth = (standing, self.list[index].worth(parts, params, &self.claims));
+        }
+    }
+}
+
+impl Explanation {
+    /// What it is worth, given what is claimed.
+    pub(super) fn worth(&self, parts: &[Prepared], params: &select::Params, claims: &[ClaimMap; 2]) -> Worth {
+        let model = &parts[self.hypothesis.part].pose_model;
+        select::worth(params, model, &self.fit, &self.verdict, claims)
+    }
+}

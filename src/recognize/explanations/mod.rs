@@ -1,0 +1,359 @@
+//! Explanations of the wire: hypotheses refined, judged, and let compete for it.
+//!
+//! Takes hypotheses, fittest first, and both pictures; gives those that stand. Owns the explanations and the maps of what
+//! they claim.
+
+mod competition;
+
+use arrayvec::ArrayVec;
+use nalgebra::{Isometry3, Matrix6, Vector2, Vector3};
+
+use super::prepared::Prepared;
+use crate::matching::fitness::UNMATCHED;
+use crate::matching::hypotheses::Hypothesis;
+use crate::matching::nodes::{ImageNode, NodeRole};
+use crate::matching::problem::StereoNode;
+use crate::matching::select::{self, ClaimMap, Worth};
+use crate::part::NODES_MAX;
+use crate::pose::refine::{self, Fit, Refine, View};
+use crate::pose::shading::Shading;
+use crate::pose::verify::{Verdict, verify};
+use crate::rig::Rig;
+use crate::time::Budget;
+
+/// Most explanations of a pair.
+const EXPLANATIONS_MAX: usize = 1024;
+/// Two refined poses nearer than this are one.
+const SAME_MM: f64 = 1.0;
+/// A rough pose this near to a refined one would lead to it: where that is doubtful, where it is sound.
+const SAME_ROUGH_MM: [f64; 2] = [2.0, 8.0];
+/// The same for a coarse pose.
+const SAME_COARSE_MM: [f64; 2] = [1.0, 8.0];
+/// Distance in pixels within which an image node is a part's end.
+pub(super) const SAME_END_PX: f64 = 5.0;
+
+/// An explanation of some wire: a refined hypothesis.
+pub(super) struct Explanation {
+    pub(super) hypothesis: Hypothesis,
+    pub(super) fit: Fit,
+    pub(super) verdict: Verdict,
+    /// See [`Refine::covariance`].
+    pub(super) covariance: Matrix6<f64>,
+    /// Where its free ends are expected, left and right, that both pictures show.
+    ends_px: ArrayVec<[Vector2<f64>; 2], NODES_MAX>,
+    /// Whether these ends are known to be its own.
+    has_ends: bool,
+    /// How far wire goes on beyond it that is not known to be another's, as was last asked.
+    pub(super) overrun_mm: f64,
+    /// Whether its wire has been claimed before the competition.
+    has_claimed: bool,
+    /// Whether its wire is settled for all parts that are not longer.
+    is_settled: bool,
+    /// What it is worth with nothing claimed.
+    alone: Worth,
+    /// How many stood when it was last asked what it is worth, and what it was worth then.
+    worth: (u32, Worth),
+    /// What it was worth when it stood, but for wire that goes on beyond it.
+    stood_mm: f64,
+    /// Whether it may not stand any more, and whether it is tried how the others fare without it.
+    is_dropped: bool,
+    is_left_out: bool,
+}
+
+/// What hypotheses are held against.
+pub(super) struct Scene<'a> {
+    pub(super) parts: &'a [Prepared],
+    pub(super) views: [View<'a>; 2],
+    /// Nodes of the left and the right picture.
+    pub(super) image_nodes: [&'a [ImageNode]; 2],
+    /// Nodes of the search.
+    pub(super) stereo_nodes: &'a [StereoNode],
+    /// Unit vector downwards in the left camera's frame, and how steep wire may be.
+    pub(super) down: Vector3<f64>,
+    pub(super) slope_rad_max: f64,
+}
+
+/// Workspace.
+pub(super) struct Explanations {
+    refine: Refine,
+    /// The first `count` are of this pair; the others keep their memory.
+    list: Vec<Explanation>,
+    count: usize,
+    claims: [ClaimMap; 2],
+    /// For every part of the list, the wire in the left picture that it need not explain again.
+    settled: Vec<ClaimMap>,
+    /// For image nodes, left and right, the length in mm of the longest part recognised for certain that ends there.
+    ends_taken: [Vec<f64>; 2],
+    /// Coarse poses that show no end.
+    endless: Vec<(Hypothesis, Isometry3<f64>)>,
+    /// Those that stand, the most valuable first, and of how many explanations; `None` where that is not known yet.
+    standing: (Option<usize>, Vec<usize>),
+    /// Indices of those that stood before one was left out.
+    tried: Vec<usize>,
+    /// Indices of those that might stand in the place of others.
+    rivals: Vec<usize>,
+}
+
+impl Explanations {
+    /// Reserves all memory.
+    pub(super) fn new(params: refine::Params, rig: &Rig, nodes_max: usize, parts: &[Prepared]) -> Self {
+        let most = |count: fn(&Prepared) -> usize| parts.iter().map(count).max().unwrap_or(0);
+        let (stations, stops) = (most(|p| p.pose_model.stations.len()), most(|p| p.stops.len()));
+        let blank = || Explanation {
+            hypothesis: Hypothesis::default(),
+            fit: Fit::default(),
+            verdict: Verdict::with_room(stations.min(refine::STATIONS_MAX), stops),
+            covariance: Matrix6::zeros(),
+            ends_px: ArrayVec::new(),
+            has_ends: false,
+            overrun_mm: 0.0,
+            has_claimed: false,
+            is_settled: false,
+            alone: Worth::NONE,
+            worth: (0, Worth::NONE),
+            stood_mm: 0.0,
+            is_dropped: false,
+            is_left_out: false,
+        };
+        Self {
+            refine: Refine::new(params, rig),
+            list: std::iter::repeat_with(blank).take(EXPLANATIONS_MAX).collect(),
+            count: 0,
+            claims: [&rig.left, &rig.right].map(|c| ClaimMap::new(c.width, c.height)),
+            settled: parts.iter().map(|_| ClaimMap::new(rig.left.width, rig.left.height)).collect(),
+            ends_taken: [0, 1].map(|_| Vec::with_capacity(nodes_max)),
+            endless: Vec::with_capacity(EXPLANATIONS_MAX),
+            standing: (None, Vec::with_capacity(EXPLANATIONS_MAX)),
+            tried: Vec::with_capacity(EXPLANATIONS_MAX),
+            rivals: Vec::with_capacity(EXPLANATIONS_MAX),
+        }
+    }
+
+    /// Forgets the last pair.
+    pub(super) fn clear(&mut self, image_nodes: [&[ImageNode]; 2]) {
+        self.count = 0;
+        self.standing.0 = None;
+        self.claims.iter_mut().chain(&mut self.settled).for_each(ClaimMap::clear);
+        for (taken, nodes) in self.ends_taken.iter_mut().zip(image_nodes) {
+            taken.clear();
+            taken.resize(nodes.len(), 0.0);
+        }
+    }
+
+    /// What light does to the outlines.
+    pub(super) fn shading(&self) -> Shading {
+        *self.refine.shading()
+    }
+
+    /// What is claimed: until the competition by what is certain, sound or whole, then by what stands.
+    pub(super) fn claims(&self) -> &[ClaimMap; 2] {
+        &self.claims
+    }
+
+    /// Refines and judges hypotheses, each pose once; says whether there was time and room for all. Wire and ends that a certain
+    /// explanation has are not explained again, unless by a longer part, of which it may be a piece; and poses that show no
+    /// end are looked at last, where no sound explanation has their wire. A count of iterations is for the searches: what they find is always looked at.
+    pub(super) fn explain(&mut self, scene: &Scene, pool: &[Hypothesis], budget: Budget) -> bool {
+        self.endless.clear();
+        for hypothesis in pool {
+            if budget.is_over() {
+                return false;
+            }
+            let prepared = &scene.parts[hypothesis.part];
+            let rough = &hypothesis.left_from_part;
+            if self.takes_taken_end(scene, hypothesis)
+                || self.is_explained(scene, hypothesis.part, rough)
+                || prepared.place_among(self.all(), hypothesis.part, rough, SAME_ROUGH_MM).is_some()
+            {
+                continue;
+            }
+            let Some(pose) = self.refine.coarse(&prepared.pose_model, rough, &scene.views) else { continue };
+            if !self.refine.shows_end() && self.endless.len() < EXPLANATIONS_MAX {
+                self.endless.push((*hypothesis, pose));
+            } else {
+                self.conclude(scene, hypothesis, &pose);
+            }
+        }
+        self.claim_sound(0, scene.parts);
+        let known = self.count;
+        let endless = std::mem::take(&mut self.endless);
+        let mut in_time = true;
+        for (hypothesis, pose) in &endless {
+            in_time = !budget.is_over();
+            if !in_time {
+                break;
+            }
+            if !self.is_explained(scene, hypothesis.part, pose) {
+                self.conclude(scene, hypothesis, pose);
+            }
+        }
+        self.endless = endless;
+        self.claim_sound(known, scene.parts);
+        in_time && self.count < EXPLANATIONS_MAX
+    }
+
+    /// Refines a coarse pose and notes what comes of it.
+    fn conclude(&mut self, scene: &Scene, hypothesis: &Hypothesis, pose: &Isometry3<f64>) {
+        let prepared = &scene.parts[hypothesis.part];
+        let model = &prepared.pose_model;
+        if self.count == EXPLANATIONS_MAX {
+            return;
+        }
+        if let Some(index) = prepared.place_among(self.all(), hypothesis.part, pose, SAME_COARSE_MM) {
+            self.arrive_at(index, scene);
+            return;
+        }
+        let Some(fit) = self.refine.fine(model, pose, &scene.views) else { return };
+        let pose = &fit.left_from_part;
+        if prepared.is_too_steep(pose, &scene.down, scene.slope_rad_max) {
+            return;
+        }
+        if let Some(index) = prepared.place_among(self.all(), hypothesis.part, pose, [SAME_MM; 2]) {
+            self.arrive_at(index, scene);
+            return;
+        }
+        let explanation = &mut self.list[self.count];
+        (explanation.hypothesis, explanation.fit) = (*hypothesis, fit);
+        (explanation.has_ends, explanation.has_claimed, explanation.is_settled) = (false, false, false);
+        let verdict = &mut explanation.verdict;
+        verify(&self.refine, model, &prepared.stops, &fit.left_from_part, &scene.views, verdict);
+        explanation.overrun_mm = verdict.overrun_mm;
+        explanation.covariance = self.refine.covariance(model, &fit);
+        explanation.ends_px.clear();
+        for end in self.refine.ends() {
+            if let [Some(left), Some(right)] = end
+                && left.beyond_px.is_some()
+                && right.beyond_px.is_some()
+            {
+                let _ = explanation.ends_px.try_push([left.expected_px, right.expected_px]);
+            }
+        }
+        let index = self.count;
+        self.count += 1;
+        if select::is_certain(&fit, &self.list[index].verdict, model.ends.len()) {
+            self.claim(index);
+            self.settle(index, scene.parts);
+            self.take_ends(index, scene);
+        }
+        self.claim_anchored(scene.parts);
+    }
+
+    /// Another hypothesis has led to this explanation. Where both pictures show an end of it, what starts from that end
+    /// leads here, and need not be looked at again.
+    fn arrive_at(&mut self, index: usize, scene: &Scene) {
+        let Explanation { fit, verdict, has_ends, .. } = &self.list[index];
+        if !has_ends && select::is_anchored(fit, verdict, 0.0) {
+            self.take_ends(index, scene);
+        }
+    }
+
+    /// The ends of an explanation that both pictures show are those of no part that is not longer.
+    fn take_ends(&mut self, index: usize, scene: &Scene) {
+        let Explanation { hypothesis, ends_px, has_ends, .. } = &mut self.list[index];
+        *has_ends = true;
+        let length_mm = scene.parts[hypothesis.part].pose_model.length_mm;
+        for end in ends_px {
+            for (side, px) in end.iter().enumerate() {
+                take_end(scene.image_nodes[side], px, &mut self.ends_taken[side], length_mm);
+            }
+        }
+    }
+
+    /// Claims the wire of all explanations that are held along it. A claim may be what tells whose wire it is that goes on
+    /// beyond another one.
+    fn claim_anchored(&mut self, parts: &[Prepared]) {
+        loop {
+            let claims = &self.claims;
+            let is_anchored = |e: &mut Explanation| {
+                !e.has_claimed && {
+                    let model = &parts[e.hypothesis.part].pose_model;
+                    e.overrun_mm = select::unclaimed_overrun_mm(model, &e.verdict, claims);
+                    select::is_anchored(&e.fit, &e.verdict, e.overrun_mm)
+                }
+            };
+            let Some(index) = self.list[..self.count].iter_mut().position(is_anchored) else { return };
+            self.claim(index);
+            let Explanation { hypothesis, verdict, .. } = &self.list[index];
+            settle_for(&mut self.settled[hypothesis.part], verdict);
+        }
+    }
+
+    fn all(&self) -> &[Explanation] {
+        &self.list[..self.count]
+    }
+
+    fn claim(&mut self, index: usize) {
+        self.list[index].has_claimed = true;
+        for piece in &self.list[index].verdict.pieces {
+            self.claims[0].claim(&piece[0]);
+            self.claims[1].claim(&piece[1]);
+        }
+    }
+
+    /// No part that is not longer need explain the wire of an explanation again.
+    fn settle(&mut self, index: usize, parts: &[Prepared]) {
+        if std::mem::replace(&mut self.list[index].is_settled, true) {
+            return;
+        }
+        let Explanation { hypothesis, verdict, .. } = &self.list[index];
+        let length_mm = parts[hypothesis.part].pose_model.length_mm;
+        for (settled, part) in self.settled.iter_mut().zip(parts) {
+            if part.pose_model.length_mm <= length_mm {
+                settle_for(settled, verdict);
+            }
+        }
+    }
+
+    /// Claims the wire of all explanations from `first` on that nothing speaks against.
+    fn claim_sound(&mut self, first: usize, parts: &[Prepared]) {
+        for index in first..self.count {
+            let Explanation { fit, verdict, overrun_mm, has_claimed, .. } = &self.list[index];
+            if select::is_sound(fit, verdict, *overrun_mm) {
+                if !has_claimed {
+                    self.claim(index);
+                }
+                self.settle(index, parts);
+            }
+        }
+    }
+
+    fn takes_taken_end(&self, scene: &Scene, hypothesis: &Hypothesis) -> bool {
+        let length_mm = scene.parts[hypothesis.part].pose_model.length_mm;
+        hypothesis.nodes.iter().filter(|n| **n != UNMATCHED).any(|&n| {
+            let node = &scene.stereo_nodes[n as usize];
+            self.ends_taken[0][node.left as usize].max(self.ends_taken[1][node.right as usize]) >= length_mm
+        })
+    }
+
+    /// Whether most of the wire that a part at a pose would explain need not be explained again.
+    fn is_explained(&self, scene: &Scene, part: usize, pose: &Isometry3<f64>) -> bool {
+        let model = &scene.parts[part].pose_model;
+        let settled = &self.settled[part];
+        let stations = &model.stations;
+        let probes = stations.iter().step_by((stations.len() / 8).max(1));
+        let (probed, mut claimed) = (probes.len(), 0);
+        self.refine.expect(model, probes, pose, &scene.views, |side, px, across| {
+            claimed += usize::from(side == 0 && settled.is_claimed_at(&px, &across));
+        });
+        2 * claimed > probed
+    }
+}
+
+/// Marks the wire of an explanation as settled.
+fn settle_for(settled: &mut ClaimMap, verdict: &Verdict) {
+    verdict.pieces.iter().for_each(|[left, _]| settled.claim(left));
+}
+
+/// Marks the end of a picture at a place as that of a part of this length: the nearest, for another wire may end beside it.
+fn take_end(nodes: &[ImageNode], at: &Vector2<f64>, taken: &mut [f64], length_mm: f64) {
+    let distance_px = |node: &ImageNode| (node.position_px - at).norm();
+    let nearest = (0..nodes.len())
+        .filter(|&n| nodes[n].role == NodeRole::End && distance_px(&nodes[n]) < SAME_END_PX)
+        .min_by(|&a, &b| distance_px(&nodes[a]).total_cmp(&distance_px(&nodes[b])));
+    if let Some(n) = nearest {
+        taken[n] = taken[n].max(length_mm);
+    }
+}
+
+#[cfg(test)]
+mod tests;

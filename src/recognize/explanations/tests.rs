@@ -1,0 +1,141 @@
+//! Explanations of drawn pictures and of a recorded pair.
+
+use std::path::Path;
+
+use nalgebra::Point3;
+
+use super::*;
+use crate::frame::{Frame, FramePair};
+use crate::part::Part;
+use crate::pose::slide;
+use crate::recognize::views::views;
+use crate::recognize::{Params, Recognition, Recognizer};
+use crate::rig::CameraModel;
+use crate::session::read_picture;
+
+/// What a pair of the recorded session, ten rods over each other, made the recogniser know.
+fn after_a_pair() -> Recognizer {
+    let replay = Path::new(env!("CARGO_MANIFEST_DIR")).join("replay");
+    let picture = |side: &str| read_picture(&replay.join("conveyor").join(side).join("0000.jpg")).unwrap();
+    let pair = FramePair { left: picture("left"), right: picture("right") };
+    let rig = Rig::read(replay.join("conveyor/calibration.yaml")).unwrap();
+    let part = Part::read(replay.join("parts/rod-90.toml")).unwrap();
+    let mut recognizer = Recognizer::new(Params::default(), rig, vec![part]).unwrap();
+    recognizer.run(&pair, Budget::Iterations(100_000), 1, &mut Recognition::default()).unwrap();
+    recognizer
+}
+
+/// The competition with every worth asked again each time.
+fn compete_slowly(
+    explanations: &mut Explanations,
+    parts: &[Prepared],
+    params: &select::Params,
+) -> Vec<usize> {
+    explanations.claims.iter_mut().for_each(ClaimMap::clear);
+    let mut standing = Vec::new();
+    loop {
+        let most = (0..explanations.count)
+            .filter(|i| !standing.contains(i))
+            .map(|i| (i, explanations.list[i].worth(parts, params, &explanations.claims).now_mm))
+            .max_by(|a, b| a.1.total_cmp(&b.1));
+        let Some((index, _)) = most.filter(|(_, worth_mm)| *worth_mm > 0.0) else { return standing };
+        explanations.claim(index);
+        standing.push(index);
+    }
+}
+
+#[test]
+fn the_competition_ends_as_if_every_worth_were_asked_again_each_time() {
+    let Recognizer { mut explanations, parts, params, .. } = after_a_pair();
+    let expected = compete_slowly(&mut explanations, &parts, &params.select);
+    explanations.standing.0 = None;
+    explanations.weigh(&parts, &params.select);
+    assert_eq!(explanations.standing.1, expected);
+    // What is known already is not held again, and the same.
+    explanations.weigh(&parts, &params.select);
+    assert_eq!(explanations.standing.1, expected);
+    assert_eq!(expected.len(), 10);
+    assert!(explanations.count > 10, "others were refused");
+}
+
+/// Lit rods of 3 mm from one place to another, both in the left camera's frame, on a dark floor.
+fn drawn(rig: &Rig, rods: &[[Point3<f64>; 2]]) -> FramePair {
+    let frame = |side: usize| {
+        let see = |p: &Point3<f64>| if side == 0 { rig.project_left(p) } else { rig.project_right(p) };
+        let rods: Vec<_> = rods.iter().map(|rod| rod.map(|p| see(&p).unwrap())).collect();
+        let grey = |x: usize, y: usize| {
+            let px = Vector2::new(x as f64, y as f64);
+            let covered = |[a, b]: &[Vector2<f64>; 2]| {
+                let along = (b - a).normalize();
+                let half_px = 1.5 * 1150.0 / 500.0;
+                let inside = (px - a).dot(&along).min((b - px).dot(&along));
+                let beside = half_px - (px - a).perp(&along).abs();
+                (inside + 0.5).clamp(0.0, 1.0) * (beside + 0.5).clamp(0.0, 1.0) * (1.0 + 0.05 * beside)
+            };
+            40.0 + 140.0 * rods.iter().map(covered).fold(0.0, f64::max)
+        };
+        let pixels = (0..480).flat_map(|y| (0..640).flat_map(move |x| [(x, y); 3]));
+        Frame::from_rgb(640, 480, pixels.map(|(x, y)| grey(x, y) as u8).collect())
+    };
+    FramePair { left: frame(0), right: frame(1) }
+}
+
+fn rod(name: &str, length_mm: f64) -> Part {
+    let half = length_mm / 2.0;
+    let text = format!(
+        "name = '{name}'\nthickness_mm = 3.0\nnode = [{{ name = 'a', position_mm = [-{half:.1}, 0.0, 0.0] }}, \
+         {{ name = 'b', position_mm = [{half:.1}, 0.0, 0.0] }}]\nedge = [{{ from = 'a', to = 'b' }}]\n\
+         grasp = {{ position_mm = [0.0, 0.0, 0.0], approach = [0.0, 0.0, -1.0], closing = [0.0, 1.0, 0.0], \
+         width_mm = 8.0 }}\n"
+    );
+    Part::parse(&text, "test.toml").unwrap()
+}
+
+#[test]
+fn two_that_explain_all_wire_stand_before_one_that_explains_most_of_it() {
+    let camera = CameraModel::pinhole(640, 480, 1150.0, 320.0, 240.0);
+    let rig = Rig { left: camera, right: camera, right_from_left: Isometry3::translation(-60.0, 0.0, 0.0) };
+    // End to end, without a gap that the mask would show: a rod of 120 mm fits the middle, too.
+    let along = Vector3::new(0.5, 0.8, 0.0).normalize();
+    let at = |mm: f64| Point3::new(30.0, 0.0, 500.0) + along * mm;
+    let pair = drawn(&rig, &[[at(-75.0), at(75.0)]]);
+    let mut recognizer =
+        Recognizer::new(Params::default(), rig, vec![rod("rod-120", 120.0), rod("rod-75", 75.0)]).unwrap();
+    let mut found = Recognition::default();
+    recognizer.run(&pair, Budget::Iterations(100_000), 1, &mut found).unwrap();
+    let mut middles: Vec<_> = found
+        .parts
+        .iter()
+        .map(|p| (p.part, (p.left_from_part.translation.vector - at(0.0).coords).dot(&along)))
+        .collect();
+    middles.sort_by(|a, b| a.1.total_cmp(&b.1));
+    let [(1, first), (1, second)] = middles[..] else { panic!("{middles:?}") };
+    assert!((first + 37.5).abs() < 1.0 && (second - 37.5).abs() < 1.0, "{first} {second}");
+}
+
+#[test]
+fn a_rod_with_both_ends_on_others_lies_in_the_middle_of_where_it_can() {
+    let camera = CameraModel::pinhole(640, 480, 1150.0, 320.0, 240.0);
+    let rig = Rig { left: camera, right: camera, right_from_left: Isometry3::translation(-60.0, 0.0, 0.0) };
+    let (along, across) = (Vector3::new(0.5, 0.8, 0.0).normalize(), Vector3::new(0.8, -0.5, 0.0).normalize());
+    let at = |mm: f64, beside_mm: f64| Point3::new(30.0, 0.0, 500.0) + along * mm + across * beside_mm;
+    let pair = drawn(
+        &rig,
+        &[
+            [at(-37.5, 0.0), at(37.5, 0.0)],
+            [at(-37.5, -20.0), at(-37.5, 20.0)],
+            [at(37.5, -20.0), at(37.5, 20.0)],
+        ],
+    );
+    let mut recognizer = Recognizer::new(Params::default(), rig, vec![rod("rod-75", 75.0)]).unwrap();
+    recognizer.run(&pair, Budget::Iterations(100_000), 1, &mut Recognition::default()).unwrap();
+    let Recognizer { pictures, rig, params, parts, explanations, .. } = recognizer;
+    let views = views(&pictures, &rig, &pair, &params).unwrap();
+    let turn = nalgebra::UnitQuaternion::rotation_between(&Vector3::x(), &along).unwrap();
+    for displaced_mm in [-5.0, 0.0, 5.0] {
+        let pose = Isometry3::from_parts(at(displaced_mm, 0.0).into(), turn);
+        let found = slide::to_middle(&explanations.refine, &parts[0].pose_model, &pose, &views);
+        let place_mm = (found.translation.vector - at(0.0, 0.0).coords).dot(&along);
+        assert!(place_mm.abs() < 0.8, "{displaced_mm}: {place_mm}");
+    }
+}
