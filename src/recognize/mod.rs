@@ -133,7 +133,7 @@ impl Recognizer {
         if !budget.is_over() && self.search_ridges(pair) {
             self.explain(pair, budget, out);
         }
-        self.compete(pair, out);
+        self.compete(pair, budget, out);
         self.grasp(out);
         if budget.is_over() {
             out.out_of_time = true;
@@ -282,11 +282,11 @@ impl Recognizer {
     }
 
     /// Lets the explanations compete; those that stand are the parts.
-    fn compete(&mut self, pair: &FramePair, out: &mut Recognition) {
+    fn compete(&mut self, pair: &FramePair, budget: Budget, out: &mut Recognition) {
         let Self { explanations, parts, rig, pictures, params, .. } = self;
         let Some(views) = views(pictures, rig, pair, params) else { return };
         let shading = explanations.shading();
-        explanations.decide(parts, &params.select, &views, PARTS_MAX);
+        explanations.decide(parts, &params.select, &views, budget, PARTS_MAX);
         explanations.press_apart(parts, &grasp::down_in_left(&params.grasp), &views);
         let standing = explanations.standing();
         out.parts.extend(standing.map(|explanation| {

@@ -11,6 +11,7 @@ use crate::pose::refine::View;
 use crate::pose::slide;
 use crate::pose::verify::verify;
 use crate::recognize::prepared::Prepared;
+use crate::time::Budget;
 
 /// How often one that stands is dropped for others, at most.
 const EXCHANGES_MAX: usize = 8;
@@ -35,9 +36,10 @@ impl Explanations {
         parts: &[Prepared],
         params: &select::Params,
         views: &[View; 2],
+        budget: Budget,
         most: usize,
     ) {
-        self.weigh(parts, params);
+        self.weigh(parts, params, budget);
         self.standing.1.truncate(most);
         for k in 0..self.standing.1.len() {
             self.centre(self.standing.1[k], parts, views);
@@ -86,8 +88,8 @@ impl Explanations {
     }
 
     /// Decides which stand. What is worth most may take wire from two that together are worth more: those that leave doubt
-    /// are dropped where the others then make more of the wire.
-    pub(super) fn weigh(&mut self, parts: &[Prepared], params: &select::Params) {
+    /// are dropped where the others then make more of the wire. Is time over, what stands stays.
+    pub(super) fn weigh(&mut self, parts: &[Prepared], params: &select::Params, budget: Budget) {
         if self.standing.0 != Some(self.count) {
             self.compete(parts, params, |_, _| true);
         }
@@ -100,6 +102,10 @@ impl Explanations {
             let mut is_changed = false;
             for k in 0..self.tried.len() {
                 let index = self.tried[k];
+                if budget.is_over() {
+                    best = None;
+                    break;
+                }
                 if !self.has_rivals(index, parts) {
                     continue;
                 }
