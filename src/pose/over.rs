@@ -28,15 +28,70 @@ pub fn is_over(a: &Passing, b: &Passing, views: &[View; 2]) -> Option<bool> {
 fn more_interrupted(a: &Passing, b: &Passing, view: &View) -> Option<f64> {
     let aimed = |p: &Passing| aim(p.radius_mm, &p.at_mm, &p.along, view);
     let (aim_a, aim_b) = (aimed(a)?, aimed(b)?);
-    let sin = aim_a.along.perp(&aim_b.along).abs();
+    let turn = aim_a.along.perp(&aim_b.along);
+    let sin = turn.abs();
     if sin < CROSSING_SIN_MIN {
         return None;
     }
     // Seen at an angle, axes of different height cross beside the crossing seen from above.
     let apart = aim_b.px - aim_a.px;
-    let middle_a = aim_a.px + aim_a.along * (apart.perp(&aim_b.along) / aim_a.along.perp(&aim_b.along));
+    let crossing = aim_a.px + aim_a.along * (apart.perp(&aim_b.along) / turn);
     let dip = |at, along, other_half_px: f64| view.profiler.dip(at, along, other_half_px / sin + 1.5);
-    let of_a = dip(middle_a, aim_a.along, aim_b.half_width_px)?;
-    let of_b = dip(middle_a, aim_b.along, aim_a.half_width_px)?;
+    let of_a = dip(crossing, aim_a.along, aim_b.half_width_px)?;
+    let of_b = dip(crossing, aim_b.along, aim_a.half_width_px)?;
     Some(of_b - of_a)
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
+
+    use super::*;
+    use crate::frame::{Frame, LumaView};
+    use crate::pose::section::Profiler;
+    use crate::rig::CameraModel;
+    use crate::vision::bits::BitImage;
+
+    /// What two pictures tell of a level wire and one across it, 3 mm thick, both half a metre away: at the crossing the
+    /// level one is seen whole, with flanks of this grey value.
+    fn told(left_flank: u8, right_flank: u8) -> [Option<bool>; 2] {
+        let camera = CameraModel::pinhole(200, 160, 1000.0, 100.0, 80.0);
+        let right = Isometry3::translation(-10.0, 0.0, 0.0);
+        let frame = |crossing_x: i32, flank: u8| {
+            let pixels = (0..160).flat_map(|y: i32| {
+                (0..200).map(move |x: i32| match ((x - crossing_x).abs(), (y - 80).abs()) {
+                    (_, 0..=1) => 200u8,
+                    (_, 2..=3) => flank,
+                    (0..=1, _) => 190,
+                    (2..=3, _) => 90,
+                    _ => 30,
+                })
+            });
+            Frame::from_rgb(200, 160, pixels.flat_map(|v| [v; 3]).collect())
+        };
+        let frames = [frame(100, left_flank), frame(80, right_flank)];
+        let mask = BitImage::new(200, 160);
+        let view = |side: usize, camera_from_left| View {
+            camera: &camera,
+            camera_from_left,
+            rotation: Matrix3::identity(),
+            profiler: Profiler::new(LumaView::new(&frames[side]).unwrap(), false, 12.0),
+            mask: &mask,
+        };
+        let views = [view(0, Isometry3::identity()), view(1, right)];
+        let wire = |along| Passing { at_mm: Point3::new(0.0, 0.0, 500.0), along, radius_mm: 1.5 };
+        let (level, upright) = (wire(Vector3::x()), wire(Vector3::y()));
+        [is_over(&level, &upright, &views), is_over(&upright, &level, &views)]
+    }
+
+    #[test]
+    fn the_wire_that_is_not_interrupted_lies_over_the_other() {
+        assert_eq!(told(90, 90), [Some(true), Some(false)]);
+    }
+
+    #[test]
+    fn without_dark_flanks_or_in_one_picture_alone_nothing_is_told() {
+        assert_eq!(told(195, 195), [None; 2]);
+        assert_eq!(told(90, 195), [None; 2]);
+    }
 }

@@ -12,6 +12,7 @@
 
 mod covariance;
 mod equations;
+mod measure;
 mod params;
 
 use arrayvec::ArrayVec;
@@ -19,6 +20,7 @@ use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, Vector2, Vec
 
 use covariance::Origin;
 use equations::{Doubt, Equations, MEASUREMENTS_MAX, Measurement, Solution};
+use measure::{measure_ends, measure_outlines};
 pub use params::Params;
 
 use super::aim::{aim, end_is_bare, mask_beyond_px, up};
@@ -35,8 +37,6 @@ use crate::vision::level::Level;
 pub(crate) const STATIONS_MAX: usize = 1024;
 /// Every so many stations are looked at while the pose is rough.
 const COARSE_STRIDE: usize = 3;
-/// See [`Measurement::patience`].
-const END_PATIENCE: f64 = 1.5;
 /// How far the outlines are looked for at first and later, and the residuals at which belief has halved, in pixels.
 const FINE_FIRST: (f64, [f64; 4]) = (2.5, [1.5, 3.5 / 3.0, 2.5 / 3.0, 0.5]);
 const FINE_NEXT: (f64, [f64; 4]) = (1.5, [0.7, 1.9 / 3.0, 1.7 / 3.0, 0.5]);
@@ -186,29 +186,35 @@ impl Refine {
         let mut pose = *start;
         let mut last = None;
         for round in 0..self.params.fine_rounds {
-            let (search_px, scales_px) = if round == 0 { FINE_FIRST } else { FINE_NEXT };
-            self.look(model, &pose, views, search_px);
-            self.observe_outlines(model, search_px, |_, _| {});
-            let solution = self.solve(model, &mut pose, &scales_px)?;
-            let shift_px = self.shift(&solution.step);
-            last = Some(solution);
+            let (fit, shift_px) =
+                self.round(model, &pose, views, if round == 0 { FINE_FIRST } else { FINE_NEXT })?;
+            pose = fit.left_from_part;
+            last = Some(fit);
             if shift_px < SETTLED_PX {
                 break;
             }
         }
-        let solution = last?;
-        Some(Fit { left_from_part: pose, misfit: solution.misfit, believed: solution.believed })
+        last
     }
 
     /// Refines a pose that is [fine](Refine::fine) already, or nearly so, with one more look. `None` where it is lost.
     pub fn again(&mut self, model: &PoseModel, start: &Isometry3<f64>, views: &[View; 2]) -> Option<Fit> {
-        let (search_px, scales_px) = FINE_NEXT;
-        let mut pose = *start;
-        self.look(model, &pose, views, search_px);
+        self.round(model, start, views, FINE_NEXT).map(|(fit, _)| fit)
+    }
+
+    /// One look at the grey values, and what it makes of a pose; with it how far that moved the wire, in pixels.
+    fn round(
+        &mut self,
+        model: &PoseModel,
+        start: &Isometry3<f64>,
+        views: &[View; 2],
+        (search_px, scales_px): (f64, [f64; 4]),
+    ) -> Option<(Fit, f64)> {
+        self.look(model, start, views, search_px);
         self.observe_outlines(model, search_px, |_, _| {});
-        let solution = self.solve(model, &mut pose, &scales_px)?;
-        self.shift(&solution.step);
-        Some(Fit { left_from_part: pose, misfit: solution.misfit, believed: solution.believed })
+        let mut left_from_part = *start;
+        let Solution { step, misfit, believed, .. } = self.solve(model, &mut left_from_part, &scales_px)?;
+        Some((Fit { left_from_part, misfit, believed }, self.shift(&step)))
     }
 
     fn sweep(&self, model: &PoseModel, pose: &Isometry3<f64>) -> Sweep {
@@ -434,65 +440,6 @@ fn each_expected<'a>(
             }
         }
         first += eight.len();
-    }
-}
-
-/// Gives what is seen of the wire across it, measured, and where each measurement comes from.
-fn measure_outlines(
-    params: &Params,
-    model: &PoseModel,
-    sightings: &[[Option<Sighting>; 2]],
-    usual: &[UsualWidth; 2],
-    search_px: f64,
-    mut each: impl FnMut(Measurement, Origin),
-) {
-    for (k, (station, seen)) in model.stations.iter().zip(sightings).enumerate() {
-        if station.at_joint {
-            continue;
-        }
-        for (side, (seen, usual)) in seen.iter().zip(usual).enumerate() {
-            let Some((sighting, section)) = seen.as_ref().and_then(|s| Some((s, s.section?))) else {
-                continue;
-            };
-            let half_width_px = sighting.half_width_px;
-            if let Some((residual_px, sigma_px)) =
-                usual.middle_of(&section, half_width_px, search_px, params.section_sigma_px)
-            {
-                let shaded = model.straight_along.map(|_| side);
-                each(
-                    Measurement { residual_px, gradient: sighting.gradient, sigma_px, patience: 1.0, shaded },
-                    Origin::Section { station: k, radius_px: half_width_px, lift_px: sighting.lift_px },
-                );
-            }
-        }
-    }
-}
-
-/// The same of the ends, along the wire.
-fn measure_ends(
-    params: &Params,
-    ends: &[[Option<EndSighting>; 2]],
-    mut each: impl FnMut(Measurement, Origin),
-) {
-    for (index, end) in ends.iter().enumerate() {
-        for end in end.iter().flatten() {
-            let Some(residual_px) = end.beyond_px else { continue };
-            each(
-                Measurement {
-                    residual_px,
-                    gradient: end.gradient,
-                    sigma_px: params.end_sigma_px.hypot(end.face_px),
-                    patience: END_PATIENCE,
-                    shaded: None,
-                },
-                Origin::End {
-                    index,
-                    radius_px: end.half_width_px,
-                    lift_px: end.lift_px,
-                    face_px: end.face_px,
-                },
-            );
-        }
     }
 }
 

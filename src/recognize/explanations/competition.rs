@@ -25,8 +25,8 @@ impl Explanations {
         self.compete(parts, params, |explanation, worth_mm| {
             explanation.has_claimed || worth_mm >= parts[explanation.hypothesis.part].pose_model.length_mm
         });
-        for k in 0..self.standing.1.len() {
-            self.settle(self.standing.1[k], parts);
+        for k in 0..self.standing.len() {
+            self.settle(self.standing[k], parts);
         }
     }
 
@@ -40,15 +40,15 @@ impl Explanations {
         most: usize,
     ) {
         self.weigh(parts, params, budget);
-        self.standing.1.truncate(most);
-        for k in 0..self.standing.1.len() {
-            self.centre(self.standing.1[k], parts, views);
+        self.standing.truncate(most);
+        for k in 0..self.standing.len() {
+            self.centre(self.standing[k], parts, views);
         }
     }
 
     /// Those that stand, the most valuable first.
     pub(in crate::recognize) fn standing(&self) -> impl Iterator<Item = &Explanation> {
-        self.standing.1.iter().map(|&index| &self.list[index])
+        self.standing.iter().map(|&index| &self.list[index])
     }
 
     /// Moves those that stand out of each other, where they cross.
@@ -58,7 +58,7 @@ impl Explanations {
         down: &Vector3<f64>,
         views: &[View; 2],
     ) {
-        let standing = &self.standing.1;
+        let standing = &self.standing;
         for (k, &one) in standing.iter().enumerate() {
             for &other in &standing[..k] {
                 let Ok([a, b]) = self.list.get_disjoint_mut([one, other]) else { continue };
@@ -90,13 +90,13 @@ impl Explanations {
     /// Decides which stand. What is worth most may take wire from two that together are worth more: those that leave doubt
     /// are dropped where the others then make more of the wire. Is time over, what stands stays.
     pub(super) fn weigh(&mut self, parts: &[Prepared], params: &select::Params, budget: Budget) {
-        if self.standing.0 != Some(self.count) {
+        if self.decided != Some(self.count) {
             self.compete(parts, params, |_, _| true);
         }
         let mut best_mm = self.together_mm(parts, params);
         for _ in 0..EXCHANGES_MAX {
             self.tried.clear();
-            self.tried.extend(&self.standing.1);
+            self.tried.extend(&self.standing);
             self.find_rivals(parts);
             let mut best = None;
             let mut is_changed = false;
@@ -124,7 +124,7 @@ impl Explanations {
             }
             if is_changed {
                 // The claims are not those of what stands any more, and nobody asks for them.
-                std::mem::swap(&mut self.standing.1, &mut self.tried);
+                std::mem::swap(&mut self.standing, &mut self.tried);
             }
             return;
         }
@@ -202,25 +202,25 @@ impl Explanations {
             let stays = !explanation.is_dropped && !explanation.is_left_out;
             explanation.worth = (0, if stays { explanation.alone } else { Worth::NONE });
         }
-        self.standing.1.clear();
+        self.standing.clear();
         let mut refused = false;
-        while let Some((index, worth)) = self.most_valuable(parts, params, self.standing.1.len() as u32) {
+        while let Some((index, worth)) = self.most_valuable(parts, params, self.standing.len() as u32) {
             if may_stand(&self.list[index], worth.now_mm) {
                 self.claim(index);
-                self.standing.1.push(index);
+                self.standing.push(index);
                 self.list[index].stood_mm = worth.at_most_mm;
             } else {
                 refused = true;
             }
         }
-        self.standing.0 = (!refused).then_some(self.count);
+        self.decided = (!refused).then_some(self.count);
         self.together_mm(parts, params)
     }
 
     /// What those that stand are worth together, in mm, less [`PART_MM`] for each. Wire that goes on beyond one is no riddle
     /// where another has claimed it in the end.
     fn together_mm(&self, parts: &[Prepared], params: &select::Params) -> f64 {
-        let worths = self.standing.1.iter().map(|&index| {
+        let worths = self.standing.iter().map(|&index| {
             let Explanation { hypothesis, verdict, stood_mm, .. } = &self.list[index];
             let model = &parts[hypothesis.part].pose_model;
             let overrun_mm = select::unclaimed_overrun_mm(model, verdict, &self.claims);

@@ -86,8 +86,10 @@ pub(super) struct Explanations {
     ends_taken: [Vec<f64>; 2],
     /// Coarse poses that show no end.
     endless: Vec<(Hypothesis, Isometry3<f64>)>,
-    /// Those that stand, the most valuable first, and of how many explanations; `None` where that is not known yet.
-    standing: (Option<usize>, Vec<usize>),
+    /// Indices of those that stand, the most valuable first.
+    standing: Vec<usize>,
+    /// Of how many explanations these are; `None` before the competition, and where some were refused.
+    decided: Option<usize>,
     /// Indices of those that stood before one was left out.
     tried: Vec<usize>,
     /// Indices of those that might stand in the place of others.
@@ -123,7 +125,8 @@ impl Explanations {
             settled: parts.iter().map(|_| ClaimMap::new(rig.left.width, rig.left.height)).collect(),
             ends_taken: [0, 1].map(|_| Vec::with_capacity(nodes_max)),
             endless: Vec::with_capacity(EXPLANATIONS_MAX),
-            standing: (None, Vec::with_capacity(EXPLANATIONS_MAX)),
+            standing: Vec::with_capacity(EXPLANATIONS_MAX),
+            decided: None,
             tried: Vec::with_capacity(EXPLANATIONS_MAX),
             rivals: Vec::with_capacity(EXPLANATIONS_MAX),
         }
@@ -132,7 +135,7 @@ impl Explanations {
     /// Forgets the last pair.
     pub(super) fn clear(&mut self, image_nodes: [&[ImageNode]; 2]) {
         self.count = 0;
-        self.standing.0 = None;
+        self.decided = None;
         self.claims.iter_mut().chain(&mut self.settled).for_each(ClaimMap::clear);
         for (taken, nodes) in self.ends_taken.iter_mut().zip(image_nodes) {
             taken.clear();

@@ -48,12 +48,12 @@ fn compete_slowly(
 fn the_competition_ends_as_if_every_worth_were_asked_again_each_time() {
     let Recognizer { mut explanations, parts, params, .. } = after_a_pair();
     let expected = compete_slowly(&mut explanations, &parts, &params.select);
-    explanations.standing.0 = None;
+    explanations.decided = None;
     explanations.weigh(&parts, &params.select, Budget::Iterations(0));
-    assert_eq!(explanations.standing.1, expected);
+    assert_eq!(explanations.standing, expected);
     // What is known already is not held again, and the same.
     explanations.weigh(&parts, &params.select, Budget::Iterations(0));
-    assert_eq!(explanations.standing.1, expected);
+    assert_eq!(explanations.standing, expected);
     assert_eq!(expected.len(), 10);
     assert!(explanations.count > 10, "others were refused");
 }
