@@ -94,12 +94,11 @@ fn a_fast_session_is_the_same_every_time() {
     assert_eq!(results(), results());
 }
 
-/// The lines of a fast run, without what differs from run to run.
-fn fast_lines(cell: &Cell) -> Vec<Value> {
-    let output = cell.run(&["--format", "json", "--overlay", "none", "--seed", "5"]);
-    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+/// The lines of pairs, without what differs from run to run.
+fn pair_lines(output: &Output) -> Vec<Value> {
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(output));
     let mut lines: Vec<Value> =
-        stdout(&output).lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+        stdout(output).lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     lines.pop();
     for line in &mut lines {
         let line = line.as_object_mut().unwrap();
@@ -110,6 +109,10 @@ fn fast_lines(cell: &Cell) -> Vec<Value> {
         line.insert("target".into(), sent.into());
     }
     lines
+}
+
+fn fast_lines(cell: &Cell) -> Vec<Value> {
+    pair_lines(&cell.run(&["--format", "json", "--overlay", "none", "--seed", "5"]))
 }
 
 #[test]
@@ -150,20 +153,9 @@ fn a_run_under_its_deadline_replayed_gives_the_same_targets() {
     };
     play(&cell, &cell.path("long"));
     let lines = |cell: &Cell| -> Vec<Value> {
-        let output = cell.run(&["--format", "json", "--overlay", "none"]);
-        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
-        let lines = stdout(&output);
-        let mut lines: Vec<Value> = lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-        lines.pop();
+        let mut lines = pair_lines(&cell.run(&["--format", "json", "--overlay", "none"]));
         // A pair for which there was no time is not searched again either.
         lines.retain(|line| !line["parts"].is_null());
-        for line in &mut lines {
-            let line = line.as_object_mut().unwrap();
-            line.remove("time_ms");
-            line.remove("deadline_kept");
-            let sent = line["target"].is_number();
-            line.insert("target".into(), sent.into());
-        }
         lines
     };
     let recorded = lines(&cell);

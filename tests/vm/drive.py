@@ -207,15 +207,19 @@ def judge(name, grasp_mm):
     return None, across, along
 
 
+def guest_job(folder, name, script):
+    """A folder for the guest: the cell, what it needs, and a script that is run there."""
+    job = folder / f"job-{name}"
+    job.mkdir()
+    for file in [PROJECT / "target/release/pickcell", PROJECT / "tests/vm/cell.toml", PROJECT / "tests/vm" / script,
+                 SCENES / "calibration.yaml", SCENES / "../parts/rod-90.toml"]:
+        shutil.copy(file, job)
+    return job
+
+
 def check_formats(folder, kind, formats):
     """Opens the cameras of the test drivers in every format; gives what went wrong."""
-    job, out = folder / f"job-{kind}", folder / f"out-{kind}"
-    job.mkdir()
-    shutil.copy(PROJECT / "target/release/pickcell", job)
-    for file in ["cell.toml", "guest-formats.sh"]:
-        shutil.copy(PROJECT / "tests/vm" / file, job)
-    shutil.copy(SCENES / "calibration.yaml", job)
-    shutil.copy(SCENES / "../parts/rod-90.toml", job)
+    job, out = guest_job(folder, kind, "guest-formats.sh"), folder / f"out-{kind}"
     extra = ["--format", formats[0], "--fps", "25"] if kind == "loopback" else []
     subprocess.run([VM, f"--{kind}", *extra, "--out", out, job, "--", "sh", "guest-formats.sh", *formats])
     failed = []
@@ -233,13 +237,7 @@ def check_formats(folder, kind, formats):
 
 def check_suspend(folder):
     """Suspends the guest to RAM under the cell; gives what went wrong. Its arm may resume by itself, but not after that."""
-    job = folder / "job-suspend"
-    job.mkdir()
-    shutil.copy(PROJECT / "target/release/pickcell", job)
-    for file in ["cell.toml", "guest-suspend.sh"]:
-        shutil.copy(PROJECT / "tests/vm" / file, job)
-    shutil.copy(SCENES / "calibration.yaml", job)
-    shutil.copy(SCENES / "../parts/rod-90.toml", job)
+    job = guest_job(folder, "suspend", "guest-suspend.sh")
     said = subprocess.run([VM, "--vivid", "--timeout", "60", job, "--", "sh", "guest-suspend.sh"], stdout=subprocess.PIPE, text=True).stdout
     _, slept, after = said.partition("the machine was suspended for ")
     wanted = ["arm on hold", "left camera delivers again", "right camera delivers again", "too late"]
