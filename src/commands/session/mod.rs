@@ -62,10 +62,10 @@ struct CutArgs {
     /// The recording (.mcap)
     recording: PathBuf,
     /// Where the piece begins, seconds after the first picture
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, value_parser = seconds)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_negative_numbers = true, value_parser = seconds)]
     from: f64,
     /// Where it ends; else with the recording
-    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = seconds)]
     to: Option<f64>,
     /// The new file
     #[arg(long, value_name = "FILE")]
