@@ -4,6 +4,26 @@
 //! ranks them. The tool's z axis is the approach, its x axis the closing direction of the fingers, so that its y axis
 //! is the wire. Wire is round: the approach of the part file may turn about it, and the direction nearest to straight
 //! down is taken.
+//!
+//! ```
+//! use nalgebra::Isometry3;
+//! use pickcell::grasp::{Blocked, Params, Placed, blocked, grasp_of};
+//! use pickcell::part::Part;
+//! use pickcell::pose::model::PoseModel;
+//!
+//! let rod = Part::read(concat!(env!("CARGO_MANIFEST_DIR"), "/replay/parts/rod-90.toml"))?;
+//! let model = PoseModel::new(&rod);
+//! // In the left camera's frame, z down: one rod on the floor, another across its middle.
+//! let below = Isometry3::translation(0.0, 0.0, 480.0);
+//! let above = Isometry3::new(nalgebra::Vector3::new(0.0, 0.0, 474.0), nalgebra::Vector3::z() * 1.57);
+//! let placed = |left_from_part| Placed { part: &rod, model: &model, left_from_part, sigma_mm: 0.2 };
+//! let all = [placed(&below), placed(&above)];
+//!
+//! let params = Params::default();
+//! let why = [0, 1].map(|i| blocked(&params, &all, i, &grasp_of(&params, &all[i])));
+//! assert_eq!(why, [Some(Blocked::Covered), None]);
+//! # Ok::<(), pickcell::part::PartError>(())
+//! ```
 
 use firmware_bridge::config::{Gripper, Workspace};
 use firmware_bridge::message::ArmAxes;

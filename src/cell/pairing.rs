@@ -3,6 +3,31 @@
 //! Takes frames of both sides in the order in which they arrive; gives pairs whose time stamps differ by at most a
 //! window. Owns at most one waiting frame a side: the newest counts. With a window under half a frame period a
 //! frame has at most one partner in it, so the first is the nearest.
+//!
+//! ```
+//! use pickcell::camera::{Condition, Side};
+//! use pickcell::cell::pairing::{FrameSeen, Handle, Pairing};
+//! use pickcell::frame::TimestampMark;
+//! use pickcell::time::Timestamp;
+//!
+//! let frame = |side, at_ms: i64| FrameSeen {
+//!     handle: Handle(0),
+//!     side,
+//!     timestamp: Timestamp(1_000_000 * at_ms),
+//!     mark: TimestampMark::EndOfFrame,
+//!     sequence: 0,
+//!     condition: Condition::default(),
+//!     skipped: 0,
+//! };
+//! let mut pairing = Pairing::new(13_000_000); // of a camera with 30 frames a second
+//! assert!(pairing.run(frame(Side::Left, 100)).pair.is_none());
+//! let pair = pairing.run(frame(Side::Right, 103)).pair.unwrap();
+//! assert_eq!((pair.number, pair.skew_ns()), (1, 3_000_000));
+//! // the right camera left one out: the waiting left frame will never have a partner
+//! pairing.run(frame(Side::Left, 133));
+//! let late = pairing.run(frame(Side::Right, 170));
+//! assert_eq!(late.out_of_step, Some((Handle(0), 37_000_000)));
+//! ```
 
 use serde::{Deserialize, Serialize};
 

@@ -5,6 +5,31 @@
 //! wires are one region. Their straight pieces still show as ridges. A stretch of the left and one of the right picture
 //! that can be the same wire are a [`SpaceLine`]: where the planes through both and their cameras meet, seen from one
 //! place to another. Wire along the baseline has no such line; it is taken to lie level, at the depth that its ends tell.
+//!
+//! ```
+//! use nalgebra::{Isometry3, Point3, Vector3};
+//! use pickcell::matching::lines::{Lines, Params};
+//! use pickcell::rig::{CameraModel, Rig};
+//! use pickcell::vision::ridge::Stretch;
+//!
+//! let camera = CameraModel::pinhole(640, 480, 600.0, 320.0, 240.0);
+//! let rig = Rig { left: camera, right: camera, right_from_left: Isometry3::translation(-60.0, 0.0, 0.0) };
+//! // A wire 60 mm long whose middle no picture shows: each sees another piece of it.
+//! let at = |along_mm: f64| Point3::new(5.0, -30.0 + along_mm, 480.0 + 0.2 * along_mm);
+//! let seen = |project: &dyn Fn(&Point3<f64>) -> nalgebra::Vector2<f64>, from_mm, to_mm| {
+//!     let ends_px = [project(&at(from_mm)), project(&at(to_mm))];
+//!     Stretch { ends_px, seen_px: (ends_px[1] - ends_px[0]).norm() }
+//! };
+//! let left = seen(&|p| rig.project_left(p).unwrap(), 0.0, 40.0);
+//! let right = seen(&|p| rig.project_right(p).unwrap(), 10.0, 60.0);
+//!
+//! let mut lines = Lines::new(Params::default(), 16);
+//! lines.run(&rig, [[&left].into_iter(), [&right].into_iter()], &Vector3::z(), 0.7);
+//! let line = lines.lines()[0];
+//! let wire = (at(60.0) - at(0.0)).normalize();
+//! assert!(line.along.cross(&wire).norm() < 1e-6);
+//! assert!((at(20.0) - line.origin_mm).cross(&line.along).norm() < 1e-6, "the wire lies on the line");
+//! ```
 
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 

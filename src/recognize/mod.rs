@@ -1,6 +1,30 @@
 //! Recognition: a pair of pictures in, ranked grasps out. Composes the stages; each is a library of its own.
 //!
 //! Nothing is kept from one pair to the next. After `new` nothing is allocated, except for JPEG other than baseline.
+//!
+//! ```
+//! use pickcell::part::Part;
+//! use pickcell::recognize::{Params, Recognition, Recognizer};
+//! use pickcell::session::Session;
+//! use pickcell::{frame::FramePair, rig::Rig, time::Budget};
+//!
+//! let replay = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/replay"));
+//! let rig = Rig::read(replay.join("conveyor/calibration.yaml"))?;
+//! let rod = Part::read(replay.join("parts/rod-90.toml"))?;
+//! let mut recognizer = Recognizer::new(Params::default(), rig, vec![rod])?;
+//!
+//! let session = Session::open(&replay.join("conveyor"))?;
+//! let [Some(left), Some(right)] = &session.pairs[0].pictures else { panic!("a whole pair") };
+//! let pair = FramePair { left: left.read()?, right: right.read()? };
+//! let mut found = Recognition::default();
+//! recognizer.run(&pair, Budget::Iterations(20_000), 1, &mut found)?;
+//!
+//! let first = &found.parts[0]; // the best one to take
+//! assert_eq!(first.blocked, None);
+//! // in the left camera's frame, which looks down on the bin half a metre below
+//! assert!((440.0..500.0).contains(&first.grasp.position_mm.z));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod explanations;
 mod found;

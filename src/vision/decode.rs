@@ -6,6 +6,22 @@
 //!
 //! Baseline pictures, which is what webcams send, with or without Huffman tables, are decoded here and allocate
 //! nothing after `new`. Others (progressive, odd sampling) go to zune-jpeg, which allocates in every picture.
+//!
+//! ```
+//! use pickcell::frame::{Frame, PixelFormat};
+//! use pickcell::vision::decode::{DecodeError, Decoder, Output};
+//!
+//! let path = concat!(env!("CARGO_MANIFEST_DIR"), "/replay/conveyor/left/0000.jpg");
+//! let bytes = std::fs::read(path)?;
+//! let mut sent = Frame { bytes, format: PixelFormat::Mjpeg, width: 640, height: 480, ..Frame::default() };
+//! let mut decoder = Decoder::new(Output::Grey, 640, 480);
+//! let raw = decoder.run(&sent)?;
+//! assert_eq!((raw.format, raw.bytes.len()), (PixelFormat::Grey, 640 * 480));
+//!
+//! sent.bytes.truncate(2000); // a transfer that broke off
+//! assert!(decoder.run(&sent).is_err());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod baseline;
 mod bits;

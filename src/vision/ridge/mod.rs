@@ -9,6 +9,34 @@
 //! doi:10.1109/34.659930, equations (10) to (14). Stretches grow from a point of a ridge both ways as long as further
 //! points lie on one line with it; where a neighbour on top hides them, over a gap that is foreground and no longer than
 //! what has been seen.
+//!
+//! ```
+//! use pickcell::frame::{Frame, LumaView, PixelFormat};
+//! use pickcell::vision::bits::BitImage;
+//! use pickcell::vision::ridge::{Area, Params, Ridges};
+//!
+//! // Two wires side by side, 8 pixels thick each, brightest along their middles: one region of the mask.
+//! let (width, height) = (320, 64);
+//! let mut frame = Frame { format: PixelFormat::Grey, width, height, stride_bytes: width, ..Frame::default() };
+//! let mut mask = BitImage::new(width, height);
+//! for (y, x) in (0..height).flat_map(|y| (20..300).map(move |x| (y, x))) {
+//!     let beside = [28.0, 36.0].map(|middle: f64| (y as f64 - middle).abs() / 4.0);
+//!     mask.set(x, y, beside.iter().any(|b| *b <= 1.0));
+//! }
+//! for y in 0..height {
+//!     let beside = [28.0, 36.0].map(|middle: f64| (y as f64 - middle).abs() / 4.0);
+//!     let light = beside.map(|b| 160.0 * (1.0 - b * b).max(0.0).sqrt());
+//!     let row = |x| if (20..300).contains(&x) { (40.0 + light[0].max(light[1])) as u8 } else { 40 };
+//!     frame.bytes.extend((0..width).map(row));
+//! }
+//! let mut everywhere = Area::new(width, height);
+//! everywhere.include(width / 2, height / 2, width);
+//! let mut ridges = Ridges::new(Params::default(), width, height);
+//! ridges.run(LumaView::new(&frame).unwrap(), &mask, &everywhere, false, 4.0);
+//! let mut rows: Vec<f64> = ridges.stretches().iter().map(|s| s.ends_px[0].y).collect();
+//! rows.sort_by(f64::total_cmp);
+//! assert_eq!(rows.iter().map(|y| y.round()).collect::<Vec<_>>(), [28.0, 36.0]);
+//! ```
 
 mod area;
 mod points;
