@@ -223,15 +223,21 @@ pub fn lies_over(params: &Params, upper: &Placed, lower: &Placed) -> bool {
     if beside(&(lower_from_upper * upper.model.centre_mm - centre)) > far * far {
         return false;
     }
-    let near = lower.model.length_mm / 2.0 + reach;
-    upper.model.stations.iter().any(|u| {
-        let at = lower_from_upper * u.position_mm;
-        beside(&(at - centre)) <= near * near
-            && lower.model.stations.iter().any(|l| {
-                let apart = at - l.position_mm;
-                // Stations lie nearer to each other than a thickness: no crossing falls between them.
-                -down.dot(&apart) > OVER_MIN * reach && beside(&apart) < reach * reach
-            })
+    let [above, below] = [upper, lower].map(|p| &p.model.stations);
+    upper.model.clusters.iter().any(|high| {
+        let centre = lower_from_upper * high.centre_mm;
+        lower.model.clusters.iter().any(|low| {
+            let near = high.reach_mm + low.reach_mm + reach;
+            beside(&(centre - low.centre_mm)) < near * near
+                && above[high.stations.clone()].iter().any(|u| {
+                    let at = lower_from_upper * u.position_mm;
+                    below[low.stations.clone()].iter().any(|l| {
+                        let apart = at - l.position_mm;
+                        // Stations lie nearer to each other than a thickness: no crossing falls between them.
+                        -down.dot(&apart) > OVER_MIN * reach && beside(&apart) < reach * reach
+                    })
+                })
+        })
     })
 }
 

@@ -1,5 +1,7 @@
 //! What pose estimation needs of a part, worked out once: points along its centreline and its free ends.
 
+use std::ops::Range;
+
 use nalgebra::{Point3, Vector3};
 
 use crate::part::Part;
@@ -29,6 +31,20 @@ pub struct Station {
     pub share: f64,
 }
 
+/// Up to [`CLUSTER`] stations in a row, and the ball around them: what is far from the ball is far from all of them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cluster {
+    /// Which.
+    pub stations: Range<usize>,
+    /// The ball's centre, in the part's frame.
+    pub centre_mm: Point3<f64>,
+    /// Its radius.
+    pub reach_mm: f64,
+}
+
+/// Most stations of a cluster.
+const CLUSTER: usize = 8;
+
 /// A free end of the part.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FreeEnd {
@@ -45,6 +61,8 @@ pub struct FreeEnd {
 pub struct PoseModel {
     /// Points along the centreline.
     pub stations: Vec<Station>,
+    /// All stations, a few at a time.
+    pub clusters: Vec<Cluster>,
     /// The ends of its straight pieces of wire, in its frame.
     pub straight_mm: Vec<[Point3<f64>; 2]>,
     /// Nodes with one edge.
@@ -97,6 +115,7 @@ impl PoseModel {
             ends: free_ends(part, step_mm),
             straight_along: part.is_straight().then(|| stations[0].tangent),
             straight_mm: straight_pieces(&stations),
+            clusters: clusters_of(&stations),
             stations,
             radius_mm,
             length_mm,
@@ -114,6 +133,20 @@ fn find_stretches(stations: &mut [Station]) {
             (station.stretch, station.share) = (stretch, (k as f64 + 0.5) / count - 0.5);
         }
     }
+}
+
+fn clusters_of(stations: &[Station]) -> Vec<Cluster> {
+    let edges = stations.chunk_by(|a, b| a.edge == b.edge);
+    let mut next = 0;
+    let cluster = |stations: &[Station]| {
+        let first = next;
+        next += stations.len();
+        let sum = stations.iter().map(|s| s.position_mm.coords).sum::<Vector3<f64>>();
+        let centre_mm = Point3::from(sum / stations.len() as f64);
+        let reach_mm = stations.iter().map(|s| (s.position_mm - centre_mm).norm()).fold(0.0, f64::max);
+        Cluster { stations: first..next, centre_mm, reach_mm }
+    };
+    edges.flat_map(|edge| edge.chunks(CLUSTER)).map(cluster).collect()
 }
 
 /// Those that are longer than the pieces of a bend.

@@ -60,6 +60,6 @@ pub(super) fn displaced_by_lamp(
 }
 
 /// Every so many stations are looked at.
-const SKEW_STRIDE: usize = 3;
+const SKEW_STRIDE: usize = 6;
 /// Along a straight wire nothing is seen of the lamp: it is taken for nought there.
 const ALONG_WEIGHT: f64 = 0.02;

@@ -11,6 +11,8 @@ use crate::vision::level::Level;
 pub(super) const MEASUREMENTS_MAX: usize = 1024;
 /// Measurements of a block.
 const LANES: usize = 8;
+/// Blocks that are weighed before their products are added up.
+const BLOCKS_AT_ONCE: usize = 8;
 /// Displacement and rotation of the part, then the offset of all sections in each picture.
 const UNKNOWNS: usize = 8;
 /// Fewest measurements that must be believed.
@@ -209,37 +211,36 @@ impl Equations {
         let mut normal = [[[0.0; LANES]; UNKNOWNS]; UNKNOWNS];
         let mut right_side = [[0.0; LANES]; UNKNOWNS];
         let [mut weights, mut squares, mut believed] = [[0.0; LANES]; 3];
-        for block in &self.blocks {
-            let Block { residual, gradient, by_sigma, by_patience } = block;
-            let mut error = *residual;
-            for (column, unknown) in gradient.iter().zip(unknowns.iter()) {
-                for l in 0..LANES {
-                    error[l] -= column[l] * unknown;
-                }
-            }
-            let mut weight = [0.0; LANES];
-            for l in 0..LANES {
-                let e = error[l] * by_sigma[l];
-                let doubt = e * by_scale * by_patience[l];
-                let belief = 1.0 / (1.0 + doubt * doubt);
-                let w = belief * belief;
-                weights[l] += w;
-                squares[l] += w * e * e;
-                believed[l] += if w > 0.5 { 1.0 } else { 0.0 };
-                weight[l] = w * by_sigma[l] * by_sigma[l];
-            }
-            for c in 0..UNKNOWNS {
-                let mut weighed = gradient[c];
-                for l in 0..LANES {
-                    weighed[l] *= weight[l];
-                    right_side[c][l] += weighed[l] * residual[l];
-                }
-                for r in c..UNKNOWNS {
+        for blocks in self.blocks.chunks(BLOCKS_AT_ONCE) {
+            let mut weight = [[0.0; LANES]; BLOCKS_AT_ONCE];
+            for (block, weight) in blocks.iter().zip(&mut weight) {
+                let Block { residual, gradient, by_sigma, by_patience } = block;
+                let mut error = *residual;
+                for (column, unknown) in gradient.iter().zip(unknowns.iter()) {
                     for l in 0..LANES {
-                        normal[c][r][l] += weighed[l] * gradient[r][l];
+                        error[l] -= column[l] * unknown;
                     }
                 }
+                for l in 0..LANES {
+                    let e = error[l] * by_sigma[l];
+                    let doubt = e * by_scale * by_patience[l];
+                    let belief = 1.0 / (1.0 + doubt * doubt);
+                    let w = belief * belief;
+                    weights[l] += w;
+                    squares[l] += w * e * e;
+                    believed[l] += if w > 0.5 { 1.0 } else { 0.0 };
+                    weight[l] = w * by_sigma[l] * by_sigma[l];
+                }
             }
+            let mut add = Products { blocks, weight: &weight, normal: &mut normal, right_side: &mut right_side };
+            add.column::<0>();
+            add.column::<1>();
+            add.column::<2>();
+            add.column::<3>();
+            add.column::<4>();
+            add.column::<5>();
+            add.column::<6>();
+            add.column::<7>();
         }
         // An empty lane is believed, but weighs nothing.
         let empty = (self.blocks.len() * LANES - self.count) as f64;
@@ -251,6 +252,35 @@ impl Equations {
             squares: total(&squares),
             believed: (total(&believed) - empty) as usize,
         }
+    }
+}
+
+/// Some weighed blocks, and the sums that their products go to.
+struct Products<'a> {
+    blocks: &'a [Block],
+    weight: &'a [Lanes; BLOCKS_AT_ONCE],
+    normal: &'a mut [[Lanes; UNKNOWNS]; UNKNOWNS],
+    right_side: &'a mut [Lanes; UNKNOWNS],
+}
+
+impl Products<'_> {
+    /// Adds those of one column. The sums of a single one stay in registers.
+    #[inline(always)]
+    fn column<const C: usize>(&mut self) {
+        let (mut products, mut right) = (self.normal[C], self.right_side[C]);
+        for (Block { residual, gradient, .. }, weight) in self.blocks.iter().zip(self.weight) {
+            let mut weighed = gradient[C];
+            for l in 0..LANES {
+                weighed[l] *= weight[l];
+                right[l] += weighed[l] * residual[l];
+            }
+            for r in C..UNKNOWNS {
+                for l in 0..LANES {
+                    products[r][l] += weighed[l] * gradient[r][l];
+                }
+            }
+        }
+        (self.normal[C], self.right_side[C]) = (products, right);
     }
 }
 
