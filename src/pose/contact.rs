@@ -12,8 +12,11 @@ use super::refine::moved;
 
 /// Sine of the angle between wires below which they lie beside each other rather than cross.
 const CROSSING_SIN_MIN: f64 = 0.17;
-/// So many standard deviations of the distance between the axes tell which wire lies on top.
-const SURE_SIGMAS: f64 = 2.5;
+/// Logarithm of the odds at which the heights alone say which wire lies on top, and what the pictures add to it: on 33
+/// rendered sets they are right 13 times in 14 where the heights leave doubt. Under the last odds nobody knows.
+const SURE_ODDS: f64 = 5.0;
+const PICTURE_ODDS: f64 = 2.5;
+const ODDS_MIN: f64 = 1.0;
 /// A distance that is wrong by more of them is due to a pose that is wrong altogether.
 const WRONG_SIGMAS: f64 = 4.0;
 /// Standard deviation of a wire's radius and straightness, in radii.
@@ -100,14 +103,17 @@ fn press(
     let variance = var_a + var_b + slack_mm * slack_mm;
     let sigma_mm = variance.sqrt();
     let apart_mm = up.dot(&(of_a.at_mm - of_b.at_mm));
-    let a_is_over = if apart_mm.abs() > SURE_SIGMAS * sigma_mm {
-        apart_mm > 0.0
-    } else {
-        let Some(is_over) = is_over(of_a, of_b) else { return };
-        is_over
-    };
-    let sign = if a_is_over { 1.0 } else { -1.0 };
-    let gap_mm = sign * apart_mm - of_a.radius_mm - of_b.radius_mm;
+    // Wires that touch are a sum of radii apart, this way round or that.
+    let touching_mm = of_a.radius_mm + of_b.radius_mm;
+    let mut odds = 2.0 * apart_mm * touching_mm / variance;
+    if odds.abs() < SURE_ODDS {
+        odds += is_over(of_a, of_b).map_or(0.0, |over| if over { PICTURE_ODDS } else { -PICTURE_ODDS });
+    }
+    if odds.abs() < ODDS_MIN {
+        return;
+    }
+    let sign = if odds > 0.0 { 1.0 } else { -1.0 };
+    let gap_mm = sign * apart_mm - touching_mm;
     // What is not finite is left, too.
     if !(-WRONG_SIGMAS * sigma_mm..0.0).contains(&gap_mm) {
         return;
