@@ -153,7 +153,6 @@ impl Recognizer {
         let matched = Timestamp::now();
         self.explanations.clear(self.pictures.each_ref().map(Picture::nodes));
         self.explain(pair, budget, out);
-        self.explanations.claim_whole(&self.parts, &self.params.select);
         if !budget.is_over() && self.search_ridges(pair) {
             self.explain(pair, budget, out);
         }
@@ -241,20 +240,19 @@ impl Recognizer {
     /// Fills the pool with rough poses that straight wire holds which nothing explains for certain; says whether there
     /// are any.
     fn search_ridges(&mut self, pair: &FramePair) -> bool {
+        // A little that is amiss with a part is no reason to look; but who looks, looks at that as well.
+        for nearly in [true, false] {
+            self.explanations.claim_whole(&self.parts, &self.params.select, nearly);
+            if !self.find_unexplained() {
+                return false;
+            }
+        }
+        self.explanations.settle_claimed(&self.parts);
         let Self { pictures, rig, parts, pool, params, ridges, areas, lines, explanations, second, .. } =
             self;
         pool.clear();
         let claims = explanations.claims();
-        let least_radii =
-            parts.iter().map(|p| p.least_seen_radii(params.select.seen_min)).fold(f64::INFINITY, f64::min);
         let half_px = [0, 1].map(|side: usize| half_width_px(&pictures[side]));
-        let enough = |side: usize| {
-            unexplained_px(&pictures[side], &claims[side], half_px[side], &mut areas[side])
-                >= least_radii * half_px[side]
-        };
-        if ![0, 1].into_iter().all(enough) {
-            return false;
-        }
         let (Some(left), Some(right)) =
             (LumaView::new(pictures[0].luma(&pair.left)), LumaView::new(pictures[1].luma(&pair.right)))
         else {
@@ -289,6 +287,18 @@ impl Recognizer {
         pool.retain(|h| !parts[h.part].is_too_steep(&h.left_from_part, &down, slope_rad_max));
         pool.sort_unstable_by(|a, b| a.fitness.total_cmp(&b.fitness));
         !pool.is_empty()
+    }
+
+    /// Finds the areas of wire that nobody has claimed; says whether there is enough of it for a part.
+    fn find_unexplained(&mut self) -> bool {
+        let Self { pictures, parts, params, areas, explanations, .. } = self;
+        let least_radii =
+            parts.iter().map(|p| p.least_seen_radii(params.select.seen_min)).fold(f64::INFINITY, f64::min);
+        [0, 1].into_iter().all(|side: usize| {
+            let half_px = half_width_px(&pictures[side]);
+            unexplained_px(&pictures[side], &explanations.claims()[side], half_px, &mut areas[side])
+                >= least_radii * half_px
+        })
     }
 
     /// Holds the pool's hypotheses against both pictures.

@@ -232,7 +232,8 @@ impl Equations {
                     weight[l] = w * by_sigma[l] * by_sigma[l];
                 }
             }
-            let mut add = Products { blocks, weight: &weight, normal: &mut normal, right_side: &mut right_side };
+            let mut add =
+                Products { blocks, weight: &weight, normal: &mut normal, right_side: &mut right_side };
             add.column::<0>();
             add.column::<1>();
             add.column::<2>();

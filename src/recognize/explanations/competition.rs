@@ -19,12 +19,31 @@ const EXCHANGES_MAX: usize = 8;
 /// explain the wire, that with fewer parts is likelier.
 const EXCHANGE_MM: f64 = 1.0;
 const PART_MM: f64 = 10.0;
+/// What is worth this share of its wire is nearly whole.
+const NEARLY_WHOLE: f64 = 0.98;
+
 impl Explanations {
-    /// Claims the wire of those that would stand now and are worth all their wire, besides what is claimed for certain.
-    pub(in crate::recognize) fn claim_whole(&mut self, parts: &[Prepared], params: &select::Params) {
-        self.compete(parts, params, |explanation, worth_mm| {
-            explanation.has_claimed || worth_mm >= parts[explanation.hypothesis.part].pose_model.length_mm
+    /// Claims the wire of those that would stand now and are worth all their wire, or where `nearly` most of it, besides what
+    /// is claimed for certain.
+    pub(in crate::recognize) fn claim_whole(
+        &mut self,
+        parts: &[Prepared],
+        params: &select::Params,
+        nearly: bool,
+    ) {
+        self.compete(parts, params, |explanation, worth| {
+            let model = &parts[explanation.hypothesis.part].pose_model;
+            let Worth { now_mm, at_most_mm } = worth;
+            // A wire that goes on does so in both pictures.
+            let goes_on = at_most_mm - now_mm > params.against * model.radius_mm;
+            explanation.has_claimed
+                || now_mm >= model.length_mm
+                || nearly && !goes_on && at_most_mm >= NEARLY_WHOLE * model.length_mm
         });
+    }
+
+    /// No part that is not longer need explain the wire again that is claimed now.
+    pub(in crate::recognize) fn settle_claimed(&mut self, parts: &[Prepared]) {
         for k in 0..self.standing.len() {
             self.settle(self.standing[k], parts);
         }
@@ -174,12 +193,12 @@ impl Explanations {
     }
 
     /// Lets the explanations compete for the wire: the one that is worth most stands and claims its wire, then the next;
-    /// but for those that `may_stand` refuses, which is given what they are worth in mm.
+    /// but for those that `may_stand` refuses, which is given what they are worth.
     fn compete(
         &mut self,
         parts: &[Prepared],
         params: &select::Params,
-        may_stand: impl Fn(&Explanation, f64) -> bool,
+        may_stand: impl Fn(&Explanation, Worth) -> bool,
     ) {
         self.claims.iter_mut().for_each(ClaimMap::clear);
         for explanation in &mut self.list[..self.count] {
@@ -195,7 +214,7 @@ impl Explanations {
         &mut self,
         parts: &[Prepared],
         params: &select::Params,
-        may_stand: impl Fn(&Explanation, f64) -> bool,
+        may_stand: impl Fn(&Explanation, Worth) -> bool,
     ) -> f64 {
         self.claims.iter_mut().for_each(ClaimMap::clear);
         for explanation in &mut self.list[..self.count] {
@@ -205,7 +224,7 @@ impl Explanations {
         self.standing.clear();
         let mut refused = false;
         while let Some((index, worth)) = self.most_valuable(parts, params, self.standing.len() as u32) {
-            if may_stand(&self.list[index], worth.now_mm) {
+            if may_stand(&self.list[index], worth) {
                 self.claim(index);
                 self.standing.push(index);
                 self.list[index].stood_mm = worth.at_most_mm;
