@@ -180,21 +180,21 @@ mod tests {
 
     #[test]
     fn wires_do_not_go_through_each_other_and_the_less_certain_one_moves() {
-        // The first lies 1 mm above the second, which is well known; they are 3 mm thick.
-        let ([above, below], sigma) = pressed([499.0, 500.0], [1.0, 0.1], 1.2, Some(true));
+        // The first lies 0.2 mm above the second, which is well known; they are 3 mm thick.
+        let ([above, below], sigma) = pressed([499.8, 500.0], [1.0, 0.1], 1.2, Some(true));
         assert!((above - 497.0).abs() < 0.15, "{above}");
         assert!((below - 500.0).abs() < 0.1, "{below}");
         assert!(sigma < 0.3, "{sigma}");
         // What is seen says that it lies below.
-        let ([first, _], _) = pressed([499.0, 500.0], [1.2, 0.1], 1.2, Some(false));
+        let ([first, _], _) = pressed([499.8, 500.0], [1.2, 0.1], 1.2, Some(false));
         assert!((first - 503.0).abs() < 0.2, "{first}");
     }
 
     #[test]
     fn what_is_apart_or_beside_or_in_doubt_stays() {
-        let still = ([499.0, 500.0], 1.0);
-        assert_eq!(pressed([499.0, 500.0], [1.0, 0.1], 1.2, None), still, "nobody knows which is on top");
-        assert_eq!(pressed([499.0, 500.0], [1.0, 0.1], 0.1, Some(true)), still, "they lie along each other");
+        let still = ([499.9, 500.0], 1.0);
+        assert_eq!(pressed([499.9, 500.0], [1.0, 0.1], 1.2, None), still, "nobody knows which is on top");
+        assert_eq!(pressed([499.9, 500.0], [1.0, 0.1], 0.1, Some(true)), still, "they lie along each other");
         assert_eq!(pressed([496.9, 500.0], [1.0, 0.1], 1.2, Some(true)), ([496.9, 500.0], 1.0));
         assert_eq!(pressed([499.5, 500.0], [0.3, 0.1], 1.2, Some(true)).0[0], 499.5, "one of them is wrong");
         assert!(pressed([f64::NAN, 500.0], [0.3, 0.3], 1.2, Some(true)).0[1] == 500.0);
@@ -218,8 +218,13 @@ mod tests {
     }
 
     #[test]
-    fn where_the_depths_tell_nobody_is_asked() {
-        let ([above, _], _) = pressed([498.0, 500.0], [0.3, 0.1], 1.2, None);
-        assert!((above - 497.2).abs() < 0.2, "{above}");
+    fn pictures_are_weighed_against_depths() {
+        let above =
+            |depth_mm, sigma_mm, is_over| pressed([depth_mm, 500.0], [sigma_mm, 0.1], 1.2, is_over).0[0];
+        // Depths that tell are believed, whatever is seen; those that leave some doubt where nothing else is.
+        for is_over in [None, Some(false)] {
+            assert!((above(498.0, 0.3, is_over) - 497.2).abs() < 0.2);
+        }
+        assert!((above(499.5, 1.0, None) - 497.1).abs() < 0.2 && above(499.8, 1.0, Some(false)) > 502.5);
     }
 }

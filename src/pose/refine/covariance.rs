@@ -146,6 +146,7 @@ mod tests {
             share: k as f64 / 20.0 - 0.5,
         };
         let model = PoseModel {
+            clusters: Vec::new(),
             stations: (0..=20).map(station).collect(),
             ends: vec![],
             radius_mm: 1.5,
