@@ -41,7 +41,7 @@ const COARSE_STRIDE: usize = 3;
 const FINE_FIRST: (f64, [f64; 4]) = (2.5, [1.5, 3.5 / 3.0, 2.5 / 3.0, 0.5]);
 const FINE_NEXT: (f64, [f64; 4]) = (1.5, [0.7, 1.9 / 3.0, 1.7 / 3.0, 0.5]);
 /// A rough pose that moved by less than this, in radii of the wire, need not be moved again before it is refined.
-const COARSE_SETTLED_RADII: f64 = 0.3;
+const COARSE_SETTLED_RADII: f64 = 1.5;
 /// A pose that moved the wire by less than this in the pictures need not be looked at again.
 const SETTLED_PX: f64 = 0.7;
 
