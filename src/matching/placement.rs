@@ -12,18 +12,25 @@ pub fn rigid_motion(pairs: &[(Point3<f64>, Point3<f64>)]) -> Option<Isometry3<f6
     let n = pairs.len() as f64;
     let mean_from = pairs.iter().map(|p| p.0.coords).sum::<Vector3<f64>>() / n;
     let mean_to = pairs.iter().map(|p| p.1.coords).sum::<Vector3<f64>>() / n;
-    let mut cross = Matrix3::zeros();
-    for (from, to) in pairs {
-        cross += (to.coords - mean_to) * (from.coords - mean_from).transpose();
-    }
-    let svd = cross.svd(true, true);
-    let (u, v_t) = (svd.u?, svd.v_t?);
-    let rotation = if svd.singular_values[1] < 1e-6 * svd.singular_values[0].max(1e-12) {
+    let on_a_line = || {
         let (a, b) = (pairs[1].0 - pairs[0].0, pairs[1].1 - pairs[0].1);
         UnitQuaternion::rotation_between(&a, &b).unwrap_or_else(|| half_turn(&a))
+    };
+    let rotation = if pairs.len() == 2 {
+        on_a_line()
     } else {
-        let flip = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * v_t).determinant().signum()));
-        UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(u * flip * v_t))
+        let mut cross = Matrix3::zeros();
+        for (from, to) in pairs {
+            cross += (to.coords - mean_to) * (from.coords - mean_from).transpose();
+        }
+        let svd = cross.svd(true, true);
+        let (u, v_t) = (svd.u?, svd.v_t?);
+        if svd.singular_values[1] < 1e-6 * svd.singular_values[0].max(1e-12) {
+            on_a_line()
+        } else {
+            let flip = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * v_t).determinant().signum()));
+            UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(u * flip * v_t))
+        }
     };
     let shift = mean_to - rotation * mean_from;
     shift.iter().all(|v| v.is_finite()).then(|| Isometry3::from_parts(Translation3::from(shift), rotation))

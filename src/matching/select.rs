@@ -130,17 +130,24 @@ impl ClaimMap {
         let beside = (piece.half_width_px / CELL_PX - 0.25).ceil().clamp(1.0, 64.0) as i32;
         let [mut x, mut y] =
             [0, 1].map(|axis: usize| middle[axis] - steps * step[axis] - beside * along[axis]);
+        // Runs of one word are noted together: the next note of it need not wait for the last.
+        let (mut word, mut runs) = (0, 0u64);
         for _ in -steps..=steps {
             for j in 0..=2 * beside {
                 let at = self.cell_at((x + j * along[0]) >> 16, (y + j * along[1]) >> 16);
                 if let Some(cell) = at {
                     self.cells[cell] |= direction;
                     let run = cell / RUN_CELLS;
-                    self.claimed_runs[run / 64] |= 1 << (run % 64);
+                    if run / 64 != word {
+                        self.claimed_runs[word] |= runs;
+                        (word, runs) = (run / 64, 0);
+                    }
+                    runs |= 1 << (run % 64);
                 }
             }
             (x, y) = (x + step[0], y + step[1]);
         }
+        self.claimed_runs[word] |= runs;
     }
 
     /// Whether the middle of a piece lies on claimed wire of the same direction.
