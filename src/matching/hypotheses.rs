@@ -115,7 +115,7 @@ pub fn of_single_node(
         space_legs(params, rig, node, &left[node.left as usize], &right[node.right as usize], &mut legs);
     let legs = &legs[..count];
     for (a, anchor) in judge.model.anchors.iter().enumerate() {
-        if !super::fitness::may_be(anchor.role, node.role) {
+        if anchor.is_repeated || !super::fitness::may_be(anchor.role, node.role) {
             continue;
         }
         let mut keep = |pose: Option<Isometry3<f64>>| {

@@ -223,7 +223,7 @@ impl Lines {
         for (i, a) in self.lines.iter().enumerate() {
             for b in &self.lines[i + 1..] {
                 let Some((corner, places)) = meeting(a, b, self.params.corner_mm_max) else { continue };
-                for anchor in &judge.model.anchors {
+                for anchor in judge.model.anchors.iter().filter(|anchor| !anchor.is_repeated) {
                     for (p, first) in anchor.legs.iter().enumerate() {
                         for (q, second) in anchor.legs.iter().enumerate() {
                             if p == q || first.0.cross(&second.0).norm() < CORNER_SIN_MIN {

@@ -24,6 +24,8 @@ pub struct Anchor {
     pub node: Option<usize>,
     /// Unit directions in which wire leaves it, part's frame, with the length of the straight piece in mm.
     pub legs: Vec<(Vector3<f64>, f64)>,
+    /// Whether a symmetry of the part puts an anchor before this one here: what is a pose by this one is the same by that.
+    pub is_repeated: bool,
 }
 
 /// A straight piece of wire between two anchors.
@@ -81,6 +83,7 @@ impl MatchModel {
                 position_mm: node.position_mm,
                 node: Some(n),
                 legs: Vec::new(),
+                is_repeated: false,
             })
             .collect();
         let mut spans = Vec::new();
@@ -92,6 +95,7 @@ impl MatchModel {
                     position_mm: *via,
                     node: None,
                     legs: Vec::new(),
+                    is_repeated: false,
                 });
                 spans.push((previous, anchors.len() - 1));
                 previous = anchors.len() - 1;
@@ -109,6 +113,12 @@ impl MatchModel {
                 Span::new(from, to, length_mm)
             })
             .collect();
+        for k in 1..anchors.len() {
+            let here = |p: Point3<f64>| (p - anchors[k].position_mm).norm() < part.thickness_mm / 2.0;
+            let comes_here =
+                |a: &Anchor| part.symmetries.iter().any(|s| here(s.part_from_part * a.position_mm));
+            anchors[k].is_repeated = anchors[..k].iter().any(comes_here);
+        }
         let distances_mm = anchors
             .iter()
             .flat_map(|a| anchors.iter().map(move |b| (a.position_mm - b.position_mm).norm()))
@@ -173,4 +183,23 @@ pub fn leg_direction(rig: &Rig, left: &Leg, right: &Leg) -> Option<(Vector3<f64>
     // The picture says which way it leads.
     let shown = (left.far_ray - left.near_ray).push(0.0);
     Some((if direction.dot(&shown) < 0.0 { -direction } else { direction }, hold))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    #[test]
+    fn anchors_that_look_alike_are_tried_once() {
+        let repeated = |name: &str| -> Vec<bool> {
+            let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts").join(name);
+            MatchModel::new(&Part::read(file).unwrap()).anchors.iter().map(|a| a.is_repeated).collect()
+        };
+        assert_eq!(repeated("rod-90.toml"), [false, true]);
+        assert_eq!(repeated("tee.toml"), [false, true, false, false]);
+        assert_eq!(repeated("zed.toml"), [false, true, false, true]);
+        assert_eq!(repeated("hook.toml"), [false; 3]);
+    }
 }
