@@ -315,12 +315,14 @@ const TRACK_PX_MAX: f64 = 90.0;
 fn track(mask: &BitImage, near: Vector2<f64>, far: Vector2<f64>, half_thickness_px: f64) -> Vector2<f64> {
     let mut last = far;
     let step = half_thickness_px.max(2.0);
+    let widest_px = 2.8 * half_thickness_px + 1.5;
     let mut distance = (far - near).norm() + step;
     while distance < TRACK_PX_MAX {
         let Some(direction) = (last - near).try_normalize(1e-9) else { break };
         let across = Vector2::new(-direction.y, direction.x);
-        let Some((middle, width)) = mask_run(mask, near + direction * distance, across, 2.0) else { break };
-        if width < 2.8 * half_thickness_px + 1.5 && middle.abs() < half_thickness_px {
+        let run = mask_run(mask, near + direction * distance, across, 2.0, widest_px);
+        let Some((middle, width)) = run else { break };
+        if width < widest_px && middle.abs() < half_thickness_px {
             last = near + direction * distance + across * middle;
         }
         distance += step;

@@ -327,12 +327,13 @@ fn outline(profile: &[u8], window: Range<usize>, span: usize, contrast_min: f64)
 }
 
 /// Middle and width of the run of object pixels nearest to `origin` along `across`, looked for up to `search_px`
-/// away; `None` where there is none.
+/// away; `None` where there is none. A run wider than `widest_px` is followed only until that is clear.
 pub fn mask_run(
     mask: &BitImage,
     origin: Vector2<f64>,
     across: Vector2<f64>,
     search_px: f64,
+    widest_px: f64,
 ) -> Option<(f64, f64)> {
     // In 1/65536 pixels, half a pixel on, so that what is before the point is the nearest pixel.
     // What is a million pixels away is outside, and stays so in whole numbers.
@@ -345,7 +346,7 @@ pub fn mask_run(
     let search = search_px as i32;
     let start =
         (0..=2 * search + 1).map(|k| if k % 2 == 0 { -(k / 2) } else { k / 2 + 1 }).find(|&t| object(t))?;
-    let limit = 4 * search + 20;
+    let limit = widest_px as i32 + 1;
     let (mut low, mut high) = (start, start);
     while low > start - limit && object(low - 1) {
         low -= 1;

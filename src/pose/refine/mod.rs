@@ -227,7 +227,7 @@ impl Refine {
         let looked = 2 * stations.len();
         let mut there = 0;
         self.expect(model, stations, pose, views, |side, px, across| {
-            there += usize::from(mask_run(views[side].mask, px, across, 2.0).is_some());
+            there += usize::from(mask_run(views[side].mask, px, across, 2.0, 0.0).is_some());
         });
         (looked - there) as f64 / looked.max(1) as f64
     }
@@ -321,8 +321,9 @@ impl Refine {
         equations.clear();
         let stations = model.stations.iter().step_by(COARSE_STRIDE).filter(|s| !s.at_joint);
         each_expected(&sweep, stations, views, |_, side, there| {
-            let run = mask_run(views[side].mask, there.px, there.across, search_px);
-            let Some((middle, _)) = run.filter(|(_, width)| *width <= 3.2 * there.half_width_px + 1.0) else {
+            let widest_px = 3.2 * there.half_width_px + 1.0;
+            let run = mask_run(views[side].mask, there.px, there.across, search_px, widest_px);
+            let Some((middle, _)) = run.filter(|(_, width)| *width <= widest_px) else {
                 return;
             };
             equations.push(&Measurement {
