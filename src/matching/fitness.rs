@@ -160,7 +160,8 @@ impl Judge<'_> {
                 if !below(&terms) {
                     return None;
                 }
-                terms.missing = self.missing_where_laid(chosen);
+                let left = (limit - terms.fitness(&self.weights)) / self.weights.missing;
+                terms.missing = self.missing_where_laid(chosen, left)?;
             }
             return Some(terms).filter(below);
         }
@@ -284,12 +285,9 @@ impl Judge<'_> {
         px.map(|px| [px.x as f32, px.y as f32])
     }
 
-    fn project_both(&self, point: &Point3<f64>) -> [Option<[f32; 2]>; 2] {
-        [0, 1].map(|side| self.project(side, point))
-    }
-
-    /// Share of background on the wire of the part that is laid through the matched nodes.
-    fn missing_where_laid(&self, chosen: &Chosen) -> f64 {
+    /// Share of background on the wire of the part that is laid through the matched nodes; `None` where it is more than
+    /// `most`.
+    fn missing_where_laid(&self, chosen: &Chosen, most: f64) -> Option<f64> {
         let mut pairs = [(Point3::origin(), Point3::origin()); ANCHORS_MAX];
         let mut count = 0;
         for (anchor, candidate) in self.model.anchors.iter().zip(chosen) {
@@ -298,34 +296,39 @@ impl Judge<'_> {
                 count += 1;
             }
         }
-        rigid_motion(&pairs[..count]).map_or(1.0, |pose| 1.0 - self.coverage(&pose))
+        let Some(pose) = rigid_motion(&pairs[..count]) else { return Some(1.0) };
+        Some(1.0 - self.coverage(&pose, 1.0 - most)?)
     }
 
-    /// Share of foreground on the part's whole wire at a pose, in both pictures.
-    pub fn coverage(&self, left_from_part: &Isometry3<f64>) -> f64 {
-        let mut ends = [[None; 2]; ANCHORS_MAX];
-        let mut points = [Point3::origin(); ANCHORS_MAX];
-        for ((point, end), anchor) in points.iter_mut().zip(&mut ends).zip(&self.model.anchors) {
-            *point = left_from_part * anchor.position_mm;
-            *end = self.project_both(point);
-        }
-        let (mut found, mut looks) = (0, 0);
+    /// Share of foreground on the part's whole wire at a pose, in both pictures; `None` where it is less than `least`.
+    pub fn coverage(&self, left_from_part: &Isometry3<f64>, least: f64) -> Option<f64> {
+        let all = self.model.spans.iter().map(|span| 2 * span.looks).sum::<u32>().max(1);
+        // With one more than these it is less.
+        let most = ((1.0 - least) * f64::from(all) * ROUNDING).max(0.0) as u32;
+        let mut missing = 0;
         for span in &self.model.spans {
-            let middle = self.project_both(&nalgebra::center(&points[span.from], &points[span.to]));
+            let [from, to] = [span.from, span.to].map(|a| left_from_part * self.model.anchors[a].position_mm);
+            let middle = nalgebra::center(&from, &to);
             for side in 0..2 {
-                looks += span.looks;
-                if let (Some(a), Some(m), Some(b)) =
-                    (ends[span.from][side], middle[side], ends[span.to][side])
-                {
-                    let curve = Parabola::new(a, m, b);
-                    found +=
-                        span.looks - missing_on(self.level, self.masks[side], &curve, span.looks, u32::MAX);
+                let [a, m, b] = [from, middle, to].map(|point| self.project(side, &point));
+                missing += match (a, m, b) {
+                    (Some(a), Some(m), Some(b)) => {
+                        let curve = Parabola::new(a, m, b);
+                        missing_on(self.level, self.masks[side], &curve, span.looks, most - missing)
+                    }
+                    _ => span.looks,
+                };
+                if missing > most {
+                    return None;
                 }
             }
         }
-        found as f64 / looks.max(1) as f64
+        Some(f64::from(all - missing) / f64::from(all)).filter(|share| *share >= least)
     }
 }
+
+/// The rounding of a bound must not cost a match.
+const ROUNDING: f64 = 1.0 + 1e-9;
 
 /// Whether a stereo node can be an anchor of the model: an end may be hidden where wires meet, and so may a bend.
 #[inline]

@@ -172,8 +172,11 @@ fn the_parabola_keeps_to_the_exact_projection() {
 fn coverage_is_the_share_of_the_wire_that_is_there() {
     let scene = DrawnScene::new(4, 1, 3);
     let judge = scene.judge();
-    assert!(judge.coverage(&scene.left_from_part[0]) > 0.99);
-    assert!(judge.coverage(&Isometry3::new(Vector3::new(0.0, 0.0, -500.0), Vector3::zeros())) == 0.0);
+    assert!(judge.coverage(&scene.left_from_part[0], 0.0).unwrap() > 0.99);
+    let behind = Isometry3::new(Vector3::new(0.0, 0.0, -500.0), Vector3::zeros());
+    assert_eq!(judge.coverage(&behind, 0.0), Some(0.0));
     let aside = Isometry3::translation(6.0, 6.0, 0.0) * scene.left_from_part[0];
-    assert!(judge.coverage(&aside) < 0.4);
+    let share = judge.coverage(&aside, 0.0).unwrap();
+    assert!(share < 0.4);
+    assert_eq!([share, share + 0.01].map(|least| judge.coverage(&aside, least)), [Some(share), None]);
 }

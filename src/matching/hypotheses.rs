@@ -120,8 +120,8 @@ pub fn of_single_node(
         }
         let mut keep = |pose: Option<Isometry3<f64>>| {
             let Some(left_from_part) = pose else { return false };
-            let coverage = judge.coverage(&left_from_part);
-            if coverage < params.coverage_min || pool.len() == pool.capacity() {
+            let Some(coverage) = judge.coverage(&left_from_part, params.coverage_min) else { return false };
+            if pool.len() == pool.capacity() {
                 return false;
             }
             let mut nodes = [UNMATCHED; ANCHORS_MAX];

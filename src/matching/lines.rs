@@ -183,8 +183,8 @@ impl Lines {
         let model = judge.model;
         let mut keep = |pose: Option<Isometry3<f64>>| {
             let Some(left_from_part) = pose else { return };
-            let coverage = judge.coverage(&left_from_part);
-            if coverage < self.params.coverage_min || pool.len() == pool.capacity() {
+            let Some(coverage) = judge.coverage(&left_from_part, self.params.coverage_min) else { return };
+            if pool.len() == pool.capacity() {
                 return;
             }
             let fitness = judge.weights.missing * (1.0 - coverage)
