@@ -4,6 +4,8 @@ use nalgebra::{Isometry3, Matrix3, Matrix4, Point3, Quaternion, Translation3, Un
 
 /// Singular values whose second is below this share of the first belong to points on a line.
 const LINE_MAX: f64 = 1e-6;
+/// How far beside an eigenvalue, as a share of it.
+const NEAR_EIGENVALUE: f64 = 1e-9;
 /// More steps than Newton's method has ever needed.
 const NEWTON_MAX: usize = 50;
 
@@ -54,25 +56,14 @@ fn nearest_rotation(cross: &Matrix3<f64>, squares: f64) -> Option<UnitQuaternion
     let s = cross.transpose();
     let (x, y, z) = (s.m23 - s.m32, s.m31 - s.m13, s.m12 - s.m21);
     let (xy, xz, yz) = (s.m12 + s.m21, s.m13 + s.m31, s.m23 + s.m32);
-    let n = Matrix4::new(
-        s.m11 + s.m22 + s.m33,
-        x,
-        y,
-        z,
-        x,
-        s.m11 - s.m22 - s.m33,
-        xy,
-        xz,
-        y,
-        xy,
-        s.m22 - s.m11 - s.m33,
-        yz,
-        z,
-        xz,
-        yz,
-        s.m33 - s.m11 - s.m22,
-    );
-    let (c2, c1, c0) = (-2.0 * total, -8.0 * cross.determinant(), n.determinant());
+    let n = Matrix4::from([
+        [s.m11 + s.m22 + s.m33, x, y, z],
+        [x, s.m11 - s.m22 - s.m33, xy, xz],
+        [y, xy, s.m22 - s.m11 - s.m33, yz],
+        [z, xz, yz, s.m33 - s.m11 - s.m22],
+    ]);
+    // Its eigenvalues are the sums of the singular values with none or two of them negative.
+    let (c2, c1, c0) = (-2.0 * total, -8.0 * cross.determinant(), total * total - 4.0 * minors);
     let mut largest = squares;
     for _ in 0..NEWTON_MAX {
         let square = largest * largest;
@@ -87,15 +78,9 @@ fn nearest_rotation(cross: &Matrix3<f64>, squares: f64) -> Option<UnitQuaternion
             break;
         }
     }
-    // Every column of the adjugate is the eigenvector times one of its numbers; that of the largest is best.
-    let rest = n - Matrix4::identity() * largest;
-    let cofactor = |row: usize, column: usize| {
-        let sign = if (row + column).is_multiple_of(2) { 1.0 } else { -1.0 };
-        sign * rest.remove_row(row).remove_column(column).determinant()
-    };
-    let squares = [0, 1, 2, 3].map(|k| cofactor(k, k).abs());
-    let best = (1..4).fold(0, |best, k| if squares[k] > squares[best] { k } else { best });
-    let [w, x, y, z] = [0, 1, 2, 3].map(|row| cofactor(row, best));
+    // So near to an eigenvalue the inverse is the product of its vector with itself, times a large number.
+    let product = (n - Matrix4::identity() * (largest * (1.0 + NEAR_EIGENVALUE))).try_inverse()?;
+    let [w, x, y, z] = (product * product.column(product.diagonal().iamax())).into();
     UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 0.0)
 }
 
