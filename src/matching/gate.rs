@@ -1,7 +1,8 @@
 //! Which pairs of image nodes may show the same point: the candidates that all searches take.
 //!
 //! The epipolar test comes first, in single precision and for all right nodes of a left one in a row; only what it
-//! leaves is triangulated. With [`Mode::None`] a pair is left out only where no match under the threshold could
+//! leaves is triangulated. What is in a bin lies at about one depth: where enough ends and bends have but one partner,
+//! these tell it, and pairs far from it are left out. With [`Mode::None`] a pair is left out only where no match under the threshold could
 //! hold it: where it shows no point in space, or its gap alone costs more.
 
 use nalgebra::{Vector2, Vector3};
@@ -36,6 +37,10 @@ pub struct GateParams {
     pub open_gap_px_max: f64,
     /// Depth of a part's points in the left camera's frame, in mm.
     pub depth_mm: [f64; 2],
+    /// From so many ends and bends on that have but one partner these tell the depth of all.
+    pub only_min: usize,
+    /// By what factor the depth of others may be less or more than theirs.
+    pub depth_factor: f64,
     /// By what factor the thickness seen may differ from the part's.
     pub thickness_factor_max: f64,
     /// Most stereo nodes.
@@ -50,6 +55,8 @@ impl Default for GateParams {
             junction_gap_px_max: 5.0,
             open_gap_px_max: 40.0,
             depth_mm: [100.0, 2000.0],
+            only_min: 6,
+            depth_factor: 1.3,
             thickness_factor_max: 1.8,
             nodes_max: 4096,
         }
@@ -96,6 +103,10 @@ pub struct Gate {
     right_rays: [Vec<f32>; 2],
     /// One bit a right node: whether it is near the line.
     near: Vec<u64>,
+    /// How many partners every node has, left and right.
+    partners: [Vec<u32>; 2],
+    /// Depths of pairs that have no other.
+    depths_mm: Vec<f64>,
     truncated: bool,
 }
 
@@ -110,6 +121,8 @@ impl Gate {
             level: Level::detect(),
             right_rays: [row(), row()],
             near,
+            partners: [0, 1].map(|_| Vec::with_capacity(ROW)),
+            depths_mm: Vec::with_capacity(ROW),
             truncated: false,
         }
     }
@@ -130,7 +143,7 @@ impl Gate {
         self.truncated = false;
         let geometry = rig.geometry();
         let focal_px = (rig.right.fx + rig.right.fy) / 2.0;
-        let Self { params, nodes, level, right_rays, near, truncated } = self;
+        let Self { params, nodes, level, right_rays, near, truncated, .. } = self;
         let words = right.len().div_ceil(CHUNK);
         for (axis, list) in right_rays.iter_mut().enumerate() {
             list.clear();
@@ -164,9 +177,41 @@ impl Gate {
                 }
             });
             if *truncated {
-                return;
+                break;
             }
         }
+        if self.params.mode == Mode::Epipolar {
+            self.leave_out_far(left.len(), right.len());
+        }
+    }
+
+    /// Leaves out what is far from the depth of those that can be paired but one way.
+    fn leave_out_far(&mut self, left: usize, right: usize) {
+        let Self { params, nodes, partners, depths_mm, .. } = self;
+        for (partners, count) in partners.iter_mut().zip([left, right]) {
+            partners.clear();
+            partners.resize(count, 0);
+        }
+        for node in &*nodes {
+            partners[0][node.left as usize] += 1;
+            partners[1][node.right as usize] += 1;
+        }
+        let is_only = |n: &&StereoNode| {
+            n.role != NodeRole::Junction
+                && partners[0][n.left as usize] == 1
+                && partners[1][n.right as usize] == 1
+        };
+        depths_mm.clear();
+        depths_mm.extend(nodes.iter().filter(is_only).map(|n| n.point_mm.z).take(ROW));
+        if depths_mm.len() < params.only_min {
+            return;
+        }
+        depths_mm.sort_unstable_by(f64::total_cmp);
+        // Some of them only seem to be pairs.
+        let few = depths_mm.len() / 4;
+        let [nearest, farthest] = [depths_mm[few], depths_mm[depths_mm.len() - 1 - few]];
+        let factor = params.depth_factor;
+        nodes.retain(|n| (nearest / factor..=farthest * factor).contains(&n.point_mm.z));
     }
 }
 
@@ -219,4 +264,35 @@ pub(super) fn gap_px(geometry: &StereoGeometry, left: &ImageNode, right: &ImageN
     let line = geometry.essential * left.ray.push(1.0);
     let focal_px = (geometry.focal_right_px.x + geometry.focal_right_px.y) / 2.0;
     focal_px * line.dot(&right.ray.push(1.0)).abs() / line.x.hypot(line.y).max(1e-12)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::matching::drawn::DrawnScene;
+
+    /// Whether a pair shows an end or bend of a part that was drawn.
+    fn is_true(scene: &DrawnScene, node: &StereoNode) -> bool {
+        let anchors = || scene.model.anchors.iter().map(|a| a.position_mm);
+        let mut points = scene.left_from_part.iter().flat_map(|pose| anchors().map(move |p| pose * p));
+        points.any(|p| (p - node.point_mm).norm() < 10.0)
+    }
+
+    #[test]
+    fn pairs_far_from_the_depth_of_the_bin_are_left_out() {
+        for seed in 0..8 {
+            let scene = DrawnScene::new(2, 15, seed);
+            let [left, right] = &scene.nodes;
+            let [all, near] = [usize::MAX, GateParams::default().only_min].map(|only_min| {
+                let mut gate = Gate::new(GateParams { only_min, ..GateParams::default() });
+                gate.run(&scene.rig, left, right, [0.0, 9.0]);
+                gate.nodes().to_vec()
+            });
+            let [all_true, near_true] =
+                [&all, &near].map(|nodes| nodes.iter().filter(|n| is_true(&scene, n)).count());
+            assert_eq!(all_true, near_true, "seed {seed}");
+            assert!(near.len() < all.len(), "{} of {}", near.len(), all.len());
+            assert!(near.iter().all(|n| (300.0..800.0).contains(&n.point_mm.z)));
+        }
+    }
 }
