@@ -1,4 +1,5 @@
-//! When leaving an anchor out cannot pay: the exact search's reason not to visit most of its tree.
+//! When leaving an anchor out cannot pay, or another match is the same: the exact search's reasons not to visit most of
+//! its tree.
 //!
 //! A match that leaves out an anchor is not given where one with a candidate for it is no less fit. Often that is certain
 //! long before the match is complete: the candidate is at the right distance from everything that the open anchors may
@@ -8,6 +9,7 @@
 //! by (X - x m) / (n' + x') for any m at most S/n, n' at most n, x' at most x, or not at all where that is negative.
 
 use super::exhaustive::{Cost, Exhaustive, Tree};
+use super::fitness::UNMATCHED;
 use super::neighbours::QUICK_WORDS;
 use super::rows::CHUNK;
 
@@ -17,6 +19,19 @@ const MARGIN: f64 = 1e-6;
 const CANDIDATES_MAX: u32 = 8;
 
 impl Tree<'_, '_> {
+    /// Whether another match is the same turned, and found, where this anchor is matched with candidate `n` or left out.
+    #[inline]
+    pub(super) fn is_turned(&self, anchor: usize, n: Option<usize>) -> bool {
+        let Some((first, others)) = self.judge.model.turned else { return false };
+        // What is left out comes behind all candidates.
+        let n = n.map_or(UNMATCHED, |n| n as u16);
+        if anchor == first {
+            return (0..self.anchors()).any(|k| others >> k & 1 == 1 && self.chosen[k] < n);
+        }
+        let is_decided = (self.matched | self.left_out) >> first & 1 == 1;
+        others >> anchor & 1 == 1 && is_decided && n < self.chosen[first]
+    }
+
     /// Whether a left-out anchor could be matched too, for a fitness no worse, in every match that is still to come.
     pub(super) fn is_dominated(&mut self, depth: usize, open: u32, cost: &Cost) -> bool {
         let mut left_out = self.left_out;

@@ -38,13 +38,17 @@ const NOISE_PX: f64 = 0.3;
 impl DrawnScene {
     /// `parts` parts of `anchors` nodes each (2 to 32) at random poses; `seed` draws them.
     pub fn new(anchors: usize, parts: usize, seed: u64) -> Self {
+        Self::of(chain(anchors), parts, seed)
+    }
+
+    /// The same of a part that is not larger.
+    pub fn of(model: MatchModel, parts: usize, seed: u64) -> Self {
         let mut random = Pcg32::seed_from_u64(seed);
         let mut left = CameraModel::pinhole(640, 480, 600.0, 320.0, 240.0);
         left.distortion[..2].copy_from_slice(&[-0.08, 0.02]);
         let tilt = UnitQuaternion::from_euler_angles(0.0, 0.06, 0.004);
         let right_from_left = Isometry3::from_parts(Translation3::new(-60.0, 0.4, 2.0), tilt);
         let rig = Rig { left, right: left, right_from_left };
-        let model = chain(anchors);
         let mut scene = Self {
             rig,
             masks: [BitImage::new(640, 480), BitImage::new(640, 480)],
@@ -163,5 +167,6 @@ fn chain(nodes: usize) -> MatchModel {
         distances_mm: points.iter().flat_map(|a| points.iter().map(move |b| (a - b).norm())).collect(),
         thickness_mm: 2.5,
         straight: nodes == 2,
+        turned: None,
     }
 }

@@ -10,9 +10,11 @@
 //!
 //! Given are all matches under the limit but those that are part of a fitter one with one node more: they hold the
 //! same pose with less to prove it. Where a left-out anchor has a candidate that goes with all that may still be
-//! matched, and costs less than leaving it out whatever that will be, all below is such a part and is not visited.
+//! matched, and costs less than leaving it out whatever that will be, all below is such a part and is not visited. Of
+//! matches that are the same turned, where the part looks the same turned, one is given.
 //!
-//! Parts of two nodes, which all straight wires are, need none of this: their pairs are listed in `pairs.rs`.
+//! Parts of two nodes, which all straight wires are, need none of this: their pairs are listed in `pairs.rs`, either way
+//! round.
 //!
 //! ```
 //! use pickcell::matching::drawn::DrawnScene;
@@ -290,7 +292,7 @@ impl Tree<'_, '_> {
                 }
             }
         }
-        if self.left_out.count_ones() < self.spare {
+        if self.left_out.count_ones() < self.spare && !self.is_turned(anchor, None) {
             self.left_out |= 1 << anchor;
             // the domains of this depth stay as they are: nothing was matched
             if self.is_viable(depth, rest) {
@@ -310,7 +312,7 @@ impl Tree<'_, '_> {
             self.search.complete = false;
             return;
         }
-        if self.is_out_of_length(anchor, n, cost) {
+        if self.is_turned(anchor, Some(n)) || self.is_out_of_length(anchor, n, cost) {
             return;
         }
         // What is quicker comes next: pixels, or rows that have to be made.

@@ -6,6 +6,7 @@ use super::*;
 use crate::matching::candidates::Candidate;
 use crate::matching::drawn::DrawnScene;
 use crate::matching::nodes::NodeRole;
+use crate::matching::problem::MatchModel;
 use crate::time::Budget;
 
 /// All matches under the threshold but those that are part of one with one node more and no worse, by trying
@@ -115,4 +116,31 @@ fn a_budget_and_a_count_of_steps_are_kept() {
     assert!(!cut.is_complete() && cut.steps() == 7);
     let cut = exact(&scene, Limits { steps_max: 5, ..limits(1.0, 7) }).1;
     assert!(!cut.is_complete() && cut.steps() == 5);
+}
+
+#[test]
+fn of_matches_that_are_the_same_turned_one_is_found() {
+    let file = |name: &str| std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts").join(name);
+    for (name, turn) in
+        [("rod-90.toml", &[1, 0][..]), ("tee.toml", &[1, 0, 2, 3]), ("zed.toml", &[1, 0, 3, 2])]
+    {
+        let model = MatchModel::new(&crate::part::Part::read(file(name)).unwrap());
+        for seed in 0..4 {
+            let mut scene = DrawnScene::of(model.clone(), 4, seed);
+            let once = exact(&scene, limits(1.5, u64::MAX)).0;
+            scene.model.turned = None;
+            let twice = exact(&scene, limits(1.5, u64::MAX)).0;
+            let turned = |m: &StereoMatch| {
+                let mut nodes = [UNMATCHED; ANCHORS_MAX];
+                turn.iter().enumerate().for_each(|(k, &t)| nodes[t] = m.nodes[k]);
+                nodes
+            };
+            assert!(once.matches().len() >= 4, "{name}: {}", once.matches().len());
+            assert_eq!(2 * once.matches().len(), twice.matches().len(), "{name}, seed {seed}");
+            for found in twice.matches() {
+                let ways = [found.nodes, turned(found)];
+                assert_eq!(once.matches().iter().filter(|m| ways.contains(&m.nodes)).count(), 1, "{name}");
+            }
+        }
+    }
 }

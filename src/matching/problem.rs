@@ -6,7 +6,7 @@
 use nalgebra::{Point3, Vector2, Vector3};
 
 use super::nodes::{Leg, NodeRole};
-use crate::part::Part;
+use crate::part::{Part, Symmetry};
 use crate::rig::Rig;
 
 /// Most nodes (end points, junctions and bends) of a part's model.
@@ -65,6 +65,9 @@ pub struct MatchModel {
     pub thickness_mm: f64,
     /// Whether all anchors lie on one line.
     pub straight: bool,
+    /// Where the part looks the same turned, the first anchor that turning moves, and those in whose place it comes, one bit
+    /// each. Of all matches that are the same turned, one has there the candidate with the lowest number.
+    pub turned: Option<(usize, u32)>,
 }
 
 impl MatchModel {
@@ -113,17 +116,30 @@ impl MatchModel {
                 Span::new(from, to, length_mm)
             })
             .collect();
-        for k in 1..anchors.len() {
-            let here = |p: Point3<f64>| (p - anchors[k].position_mm).norm() < part.thickness_mm / 2.0;
-            let comes_here =
-                |a: &Anchor| part.symmetries.iter().any(|s| here(s.part_from_part * a.position_mm));
-            anchors[k].is_repeated = anchors[..k].iter().any(comes_here);
+        let comes_to = |j: usize, k: usize| {
+            let [from, to]: [Point3<f64>; 2] = [j, k].map(|a: usize| anchors[a].position_mm);
+            let near = |s: &Symmetry| (s.part_from_part * from - to).norm() < part.thickness_mm / 2.0;
+            j != k && part.symmetries.iter().any(near)
+        };
+        let moved =
+            |j: usize| (0..anchors.len()).filter(|&k| comes_to(j, k)).fold(0, |bits, k| bits | 1 << k);
+        let turned = (0..anchors.len()).map(|j| (j, moved(j))).find(|(_, others)| *others != 0);
+        let repeated: Vec<bool> = (0..anchors.len()).map(|k| (0..k).any(|j| comes_to(j, k))).collect();
+        for (anchor, is_repeated) in anchors.iter_mut().zip(repeated) {
+            anchor.is_repeated = is_repeated;
         }
         let distances_mm = anchors
             .iter()
             .flat_map(|a| anchors.iter().map(move |b| (a.position_mm - b.position_mm).norm()))
             .collect();
-        Self { anchors, spans, distances_mm, thickness_mm: part.thickness_mm, straight: part.is_straight() }
+        Self {
+            anchors,
+            spans,
+            distances_mm,
+            thickness_mm: part.thickness_mm,
+            straight: part.is_straight(),
+            turned,
+        }
     }
 
     /// How many anchors must be matched: all of a straight part, else half of them and three at least, which hold a
@@ -192,14 +208,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn anchors_that_look_alike_are_tried_once() {
-        let repeated = |name: &str| -> Vec<bool> {
+    fn anchors_that_look_alike_are_known() {
+        let model = |name: &str| {
             let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts").join(name);
-            MatchModel::new(&Part::read(file).unwrap()).anchors.iter().map(|a| a.is_repeated).collect()
+            MatchModel::new(&Part::read(file).unwrap())
         };
-        assert_eq!(repeated("rod-90.toml"), [false, true]);
-        assert_eq!(repeated("tee.toml"), [false, true, false, false]);
-        assert_eq!(repeated("zed.toml"), [false, true, false, true]);
-        assert_eq!(repeated("hook.toml"), [false; 3]);
+        let repeated = |m: &MatchModel| m.anchors.iter().map(|a| a.is_repeated).collect::<Vec<_>>();
+        for (name, expected, turned) in [
+            ("rod-90.toml", &[false, true][..], Some((0, 0b10))),
+            ("tee.toml", &[false, true, false, false], Some((0, 0b10))),
+            ("zed.toml", &[false, true, false, true], Some((0, 0b10))),
+            ("hook.toml", &[false; 3], None),
+        ] {
+            let model = model(name);
+            assert_eq!((&repeated(&model)[..], model.turned), (expected, turned), "{name}");
+        }
     }
 }
