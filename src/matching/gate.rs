@@ -2,8 +2,8 @@
 //!
 //! The epipolar test comes first, in single precision and for all right nodes of a left one in a row; only what it
 //! leaves is triangulated. What is in a bin lies at about one depth: where enough ends and bends have but one partner,
-//! these tell it, and pairs far from it are left out. With [`Mode::None`] a pair is left out only where no match under the threshold could
-//! hold it: where it shows no point in space, or its gap alone costs more.
+//! these tell it, and pairs far from it are left out. With [`Mode::None`] a pair is left out only where no match under
+//! the threshold could hold it: where it shows no point in space, or its gap alone costs more.
 
 use nalgebra::{Vector2, Vector3};
 

@@ -31,7 +31,7 @@ pub struct Station {
     pub share: f64,
 }
 
-/// Up to [`CLUSTER`] stations in a row, and the ball around them: what is far from the ball is far from all of them.
+/// Up to eight stations in a row, and the ball around them: what is far from the ball is far from all of them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cluster {
     /// Which.
