@@ -32,7 +32,7 @@
 //! ```
 
 use super::candidates::{Candidate, Candidates};
-use super::fitness::{Judge, StereoMatch, Terms, UNMATCHED, may_be};
+use super::fitness::{Judge, ROUNDING, StereoMatch, Terms, UNMATCHED, may_be};
 use super::found::Found;
 pub use super::limits::Limits;
 use super::measures::{Measured, Measures};
@@ -147,9 +147,6 @@ impl Exhaustive {
         }
     }
 }
-
-/// The rounding of a bound must not cost a match.
-pub(super) const ROUNDING: f64 = 1.0 + 1e-6;
 
 /// What the matched nodes cost already, before weights and means.
 #[derive(Clone, Copy, Debug, Default)]

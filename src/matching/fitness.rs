@@ -328,7 +328,7 @@ impl Judge<'_> {
 }
 
 /// The rounding of a bound must not cost a match.
-const ROUNDING: f64 = 1.0 + 1e-9;
+pub(super) const ROUNDING: f64 = 1.0 + 1e-6;
 
 /// Whether a stereo node can be an anchor of the model: an end may be hidden where wires meet, and so may a bend.
 #[inline]

@@ -6,8 +6,8 @@
 //! not. Here each pair is measured once and given both ways round. A step is a candidate or a pair.
 
 use super::candidates::{Candidate, Candidates};
-use super::exhaustive::{Exhaustive, Limits, ROUNDING};
-use super::fitness::{Judge, StereoMatch, Terms, UNMATCHED, may_be};
+use super::exhaustive::{Exhaustive, Limits};
+use super::fitness::{Judge, ROUNDING, StereoMatch, Terms, UNMATCHED, may_be};
 use super::found::Found;
 use super::measures::measure;
 use super::problem::{ANCHORS_MAX, MatchModel};

@@ -1,7 +1,7 @@
 //! Wires that cross do not go through each other.
 //!
-//! Takes poses of two parts with their covariances; where their wires cross, seen from above, it is known which lies on
-//! top, and their axes are nearer to each other than the radii allow, moves both into contact, which is how parts lie on
+//! Takes poses of two parts with their covariances; where their wires cross, seen from above, heights and pictures together
+//! tell which lies on top, and their axes are nearer to each other than the radii allow, moves both into contact, which is how parts lie on
 //! each other: as the state of a Kalman filter follows a measurement that the gap between them is nought. The pose that is
 //! known less moves more.
 
@@ -12,8 +12,8 @@ use super::refine::moved;
 
 /// Sine of the angle between wires below which they lie beside each other rather than cross.
 const CROSSING_SIN_MIN: f64 = 0.17;
-/// Logarithm of the odds at which the heights alone say which wire lies on top, and what the pictures add to it: on 33
-/// rendered sets they are right 13 times in 14 where the heights leave doubt. Under the last odds nobody knows.
+/// Logarithm of the odds at which the heights alone say which wire lies on top; what the pictures add to it, which are right
+/// about 13 times in 14 where the heights leave doubt; and the odds under which nobody knows.
 const SURE_ODDS: f64 = 5.0;
 const PICTURE_ODDS: f64 = 2.5;
 const ODDS_MIN: f64 = 1.0;

@@ -241,9 +241,10 @@ impl Recognizer {
     /// are any.
     fn search_ridges(&mut self, pair: &FramePair) -> bool {
         // A little that is amiss with a part is no reason to look; but who looks, looks at that as well.
+        let half_px = self.pictures.each_ref().map(half_width_px);
         for nearly in [true, false] {
             self.explanations.claim_whole(&self.parts, &self.params.select, nearly);
-            if !self.find_unexplained() {
+            if !self.find_unexplained(&half_px) {
                 return false;
             }
         }
@@ -252,7 +253,6 @@ impl Recognizer {
             self;
         pool.clear();
         let claims = explanations.claims();
-        let half_px = [0, 1].map(|side: usize| half_width_px(&pictures[side]));
         let (Some(left), Some(right)) =
             (LumaView::new(pictures[0].luma(&pair.left)), LumaView::new(pictures[1].luma(&pair.right)))
         else {
@@ -289,15 +289,15 @@ impl Recognizer {
         !pool.is_empty()
     }
 
-    /// Finds the areas of wire that nobody has claimed; says whether there is enough of it for a part.
-    fn find_unexplained(&mut self) -> bool {
+    /// Finds the areas of wire, half of it as wide as given, that nobody has claimed; says whether there is enough of it for
+    /// a part.
+    fn find_unexplained(&mut self, half_px: &[f64; 2]) -> bool {
         let Self { pictures, parts, params, areas, explanations, .. } = self;
         let least_radii =
             parts.iter().map(|p| p.least_seen_radii(params.select.seen_min)).fold(f64::INFINITY, f64::min);
         [0, 1].into_iter().all(|side: usize| {
-            let half_px = half_width_px(&pictures[side]);
-            unexplained_px(&pictures[side], &explanations.claims()[side], half_px, &mut areas[side])
-                >= least_radii * half_px
+            unexplained_px(&pictures[side], &explanations.claims()[side], half_px[side], &mut areas[side])
+                >= least_radii * half_px[side]
         })
     }
 

@@ -234,6 +234,7 @@ impl Equations {
             }
             let mut add =
                 Products { blocks, weight: &weight, normal: &mut normal, right_side: &mut right_side };
+            const { assert!(UNKNOWNS == 8, "a column each") };
             add.column::<0>();
             add.column::<1>();
             add.column::<2>();
