@@ -34,8 +34,9 @@ impl Explanations {
         self.compete(parts, params, |explanation, worth| {
             let model = &parts[explanation.hypothesis.part].pose_model;
             let Worth { now_mm, at_most_mm } = worth;
-            // A wire that goes on does so in both pictures.
-            let goes_on = at_most_mm - now_mm > params.against * model.radius_mm;
+            // A wire that goes on does so in both pictures: one piece of it in one of them, a radius, is none. Half a piece
+            // more, for what is left of a difference.
+            let goes_on = at_most_mm - now_mm > 1.5 * params.against * model.radius_mm;
             explanation.has_claimed
                 || now_mm >= model.length_mm
                 || nearly && !goes_on && at_most_mm >= NEARLY_WHOLE * model.length_mm
