@@ -159,6 +159,7 @@ fn chain(nodes: usize) -> MatchModel {
         node: end(k).then_some(k.min(1)),
         legs: Vec::new(),
         is_repeated: false,
+        corners: Vec::new(),
     });
     let spans = points.windows(2).enumerate().map(|(k, w)| Span::new(k, k + 1, (w[1] - w[0]).norm()));
     MatchModel {

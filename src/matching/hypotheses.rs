@@ -157,28 +157,23 @@ fn for_leg_pairs(
     legs: &[SpaceLeg],
     mut found: impl FnMut(&[(Vector3<f64>, Vector3<f64>)]) -> bool,
 ) {
-    for (i, a) in anchor.legs.iter().enumerate() {
-        for b in &anchor.legs[i + 1..] {
-            let wanted = a.0.angle(&b.0);
-            if a.0.cross(&b.0).norm() < 0.2 {
-                continue;
-            }
-            for (p, first) in legs.iter().enumerate() {
-                for (q, second) in legs.iter().enumerate() {
-                    let seen = first.direction.angle(&second.direction);
-                    if p == q
-                        || (seen - wanted).abs() < params.angle_tolerance_rad
-                            && found(&[(a.0, first.direction), (b.0, second.direction)])
-                    {
-                        continue;
-                    }
-                    let cos = wanted.cos();
-                    for direction in first.at_angle(second, cos).into_iter().flatten() {
-                        found(&[(a.0, direction), (b.0, second.direction)]);
-                    }
-                    for direction in second.at_angle(first, cos).into_iter().flatten() {
-                        found(&[(a.0, first.direction), (b.0, direction)]);
-                    }
+    for corner in &anchor.corners {
+        let [a, b] = corner.map(|leg| anchor.legs[leg].0);
+        let wanted = a.angle(&b);
+        for (p, first) in legs.iter().enumerate() {
+            for second in &legs[p + 1..] {
+                let seen = first.direction.angle(&second.direction);
+                if (seen - wanted).abs() < params.angle_tolerance_rad
+                    && found(&[(a, first.direction), (b, second.direction)])
+                {
+                    continue;
+                }
+                let cos = wanted.cos();
+                for direction in first.at_angle(second, cos).into_iter().flatten() {
+                    found(&[(a, direction), (b, second.direction)]);
+                }
+                for direction in second.at_angle(first, cos).into_iter().flatten() {
+                    found(&[(a, first.direction), (b, direction)]);
                 }
             }
         }

@@ -36,7 +36,7 @@ use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 use super::fitness::{Judge, UNMATCHED};
 use super::hypotheses::Hypothesis;
 use super::placement::motion_of_directions;
-use super::problem::ANCHORS_MAX;
+use super::problem::{ANCHORS_MAX, CORNER_SIN_MIN};
 use crate::rig::{Rig, StereoGeometry};
 use crate::vision::ridge::Stretch;
 
@@ -224,21 +224,17 @@ impl Lines {
             for b in &self.lines[i + 1..] {
                 let Some((corner, places)) = meeting(a, b, self.params.corner_mm_max) else { continue };
                 for anchor in judge.model.anchors.iter().filter(|anchor| !anchor.is_repeated) {
-                    for (p, first) in anchor.legs.iter().enumerate() {
-                        for (q, second) in anchor.legs.iter().enumerate() {
-                            if p == q || first.0.cross(&second.0).norm() < CORNER_SIN_MIN {
-                                continue;
-                            }
-                            for sign in SIGNS {
-                                let along = [a.along * sign[0], b.along * sign[1]];
-                                let off = along[0].angle(&along[1]) - first.0.angle(&second.0);
-                                if off.abs() < self.params.angle_tolerance_rad
-                                    && shows_leg(a, places[0], sign[0], first.1)
-                                    && shows_leg(b, places[1], sign[1], second.1)
-                                {
-                                    let pairs = [(first.0, along[0]), (second.0, along[1])];
-                                    keep(motion_of_directions(&anchor.position_mm, &corner, &pairs));
-                                }
+                    for legs in &anchor.corners {
+                        let [first, second] = legs.map(|leg| anchor.legs[leg]);
+                        for sign in SIGNS {
+                            let along = [a.along * sign[0], b.along * sign[1]];
+                            let off = along[0].angle(&along[1]) - first.0.angle(&second.0);
+                            if off.abs() < self.params.angle_tolerance_rad
+                                && shows_leg(a, places[0], sign[0], first.1)
+                                && shows_leg(b, places[1], sign[1], second.1)
+                            {
+                                let pairs = [(first.0, along[0]), (second.0, along[1])];
+                                keep(motion_of_directions(&anchor.position_mm, &corner, &pairs));
                             }
                         }
                     }
@@ -253,8 +249,6 @@ const SIGNS: [[f64; 2]; 4] = [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]
 const DIRECTION_COS_MIN: f64 = 0.86;
 /// What one picture sees of a line the other sees to this share, of the shorter of both.
 const OVERLAP_MIN: f64 = 0.5;
-/// Legs nearer to one line than this make no corner.
-const CORNER_SIN_MIN: f64 = 0.2;
 
 fn overlap_share([l, r]: &[[f64; 2]; 2]) -> f64 {
     let both = l[1].min(r[1]) - l[0].max(r[0]);

@@ -26,7 +26,42 @@ pub struct Anchor {
     pub legs: Vec<(Vector3<f64>, f64)>,
     /// Whether a symmetry of the part puts an anchor before this one here: what is a pose by this one is the same by that.
     pub is_repeated: bool,
+    /// Pairs of legs, each way round, that do not lie along one line, by their indices; of those that are the same by a
+    /// symmetry of the part one.
+    pub corners: Vec<[usize; 2]>,
 }
+
+impl Anchor {
+    fn new(role: NodeRole, position_mm: Point3<f64>, node: Option<usize>) -> Self {
+        Self { role, position_mm, node, legs: Vec::new(), is_repeated: false, corners: Vec::new() }
+    }
+
+    fn find_corners(&self, part: &Part) -> Vec<[usize; 2]> {
+        let legs = &self.legs;
+        let is_corner = |&[i, j]: &[usize; 2]| legs[i].0.cross(&legs[j].0).norm() >= CORNER_SIN_MIN;
+        let all = (0..legs.len()).flat_map(|i| (0..legs.len()).map(move |j| [i, j])).filter(is_corner);
+        let stays = |s: &&Symmetry| {
+            (s.part_from_part * self.position_mm - self.position_mm).norm() < part.thickness_mm / 2.0
+        };
+        let mut corners: Vec<[usize; 2]> = Vec::new();
+        for corner in all {
+            let comes_from = |known: &[usize; 2], s: &Symmetry| {
+                let is_turned = |(from, to): (usize, usize)| {
+                    (s.part_from_part * legs[from].0 - legs[to].0).norm() < CORNER_SIN_MIN / 2.0
+                };
+                known.iter().copied().zip(corner).all(is_turned)
+            };
+            let mut turns = part.symmetries.iter().filter(stays);
+            if !turns.any(|s| corners.iter().any(|known| comes_from(known, s))) {
+                corners.push(corner);
+            }
+        }
+        corners
+    }
+}
+
+/// Sine of the angle under which two legs lie along one line.
+pub(super) const CORNER_SIN_MIN: f64 = 0.2;
 
 /// A straight piece of wire between two anchors.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -81,25 +116,13 @@ impl MatchModel {
             .nodes
             .iter()
             .enumerate()
-            .map(|(n, node)| Anchor {
-                role: role(n),
-                position_mm: node.position_mm,
-                node: Some(n),
-                legs: Vec::new(),
-                is_repeated: false,
-            })
+            .map(|(n, node)| Anchor::new(role(n), node.position_mm, Some(n)))
             .collect();
         let mut spans = Vec::new();
         for edge in &part.edges {
             let mut previous = edge.from;
             for via in &edge.via {
-                anchors.push(Anchor {
-                    role: NodeRole::Bend,
-                    position_mm: *via,
-                    node: None,
-                    legs: Vec::new(),
-                    is_repeated: false,
-                });
+                anchors.push(Anchor::new(NodeRole::Bend, *via, None));
                 spans.push((previous, anchors.len() - 1));
                 previous = anchors.len() - 1;
             }
@@ -127,6 +150,7 @@ impl MatchModel {
         let repeated: Vec<bool> = (0..anchors.len()).map(|k| (0..k).any(|j| comes_to(j, k))).collect();
         for (anchor, is_repeated) in anchors.iter_mut().zip(repeated) {
             anchor.is_repeated = is_repeated;
+            anchor.corners = anchor.find_corners(part);
         }
         let distances_mm = anchors
             .iter()
@@ -214,14 +238,17 @@ mod tests {
             MatchModel::new(&Part::read(file).unwrap())
         };
         let repeated = |m: &MatchModel| m.anchors.iter().map(|a| a.is_repeated).collect::<Vec<_>>();
-        for (name, expected, turned) in [
-            ("rod-90.toml", &[false, true][..], Some((0, 0b10))),
-            ("tee.toml", &[false, true, false, false], Some((0, 0b10))),
-            ("zed.toml", &[false, true, false, true], Some((0, 0b10))),
-            ("hook.toml", &[false; 3], None),
+        let corners = |m: &MatchModel| m.anchors.iter().map(|a| a.corners.len()).collect::<Vec<_>>();
+        for (name, expected, turned, corners_expected) in [
+            ("rod-90.toml", &[false, true][..], Some((0, 0b10)), &[0, 0][..]),
+            // Either half of the bar with the leg is the same.
+            ("tee.toml", &[false, true, false, false], Some((0, 0b10)), &[0, 0, 0, 2]),
+            ("zed.toml", &[false, true, false, true], Some((0, 0b10)), &[0, 0, 2, 2]),
+            ("hook.toml", &[false; 3], None, &[0, 0, 2]),
         ] {
             let model = model(name);
             assert_eq!((&repeated(&model)[..], model.turned), (expected, turned), "{name}");
+            assert_eq!(corners(&model), corners_expected, "{name}");
         }
     }
 }

@@ -101,6 +101,12 @@ impl Prepared {
             && self.beside_mm(a, b) < SAME_WIRE_RADII * self.pose_model.radius_mm
     }
 
+    /// Whether two poses are nearer to each other than so much.
+    pub(super) fn is_near(&self, a: &Isometry3<f64>, b: &Isometry3<f64>, near_mm: f64) -> bool {
+        // The mean of distances is at least the distance of the means.
+        (a * self.middle_mm - b * self.middle_mm).norm() < near_mm && self.distance_mm(a, b) < near_mm
+    }
+
     /// Mean distance of the part's nodes and bends between two poses, under the symmetry that makes it least.
     pub(super) fn distance_mm(&self, a: &Isometry3<f64>, b: &Isometry3<f64>) -> f64 {
         let anchors = &self.match_model.anchors;

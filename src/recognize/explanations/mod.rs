@@ -23,12 +23,16 @@ use crate::time::Budget;
 
 /// Most explanations of a pair.
 const EXPLANATIONS_MAX: usize = 1024;
+/// Most coarse poses of a pair that are known to have been refined.
+const REFINED_MAX: usize = 4096;
 /// Two refined poses nearer than this are one.
 const SAME_MM: f64 = 1.0;
 /// A rough pose this near to a refined one would lead to it: where that is doubtful, where it is sound.
 const SAME_ROUGH_MM: [f64; 2] = [2.0, 8.0];
 /// The same for a coarse pose.
 const SAME_COARSE_MM: [f64; 2] = [1.0, 8.0];
+/// Two coarse poses nearer than this are refined to the same.
+const SAME_START_MM: f64 = 0.5;
 /// Distance in pixels within which an image node is a part's end.
 pub(super) const SAME_END_PX: f64 = 5.0;
 
@@ -73,6 +77,14 @@ pub(super) struct Scene<'a> {
     pub(super) slope_rad_max: f64,
 }
 
+/// A coarse pose that was refined.
+struct Refined {
+    part: usize,
+    coarse: Isometry3<f64>,
+    /// Index of the explanation that it led to, if any.
+    led_to: Option<usize>,
+}
+
 /// Workspace.
 pub(super) struct Explanations {
     refine: Refine,
@@ -86,6 +98,8 @@ pub(super) struct Explanations {
     ends_taken: [Vec<f64>; 2],
     /// Coarse poses that show no end.
     endless: Vec<(Hypothesis, Isometry3<f64>)>,
+    /// Coarse poses that were refined.
+    refined: Vec<Refined>,
     /// Indices of those that stand, the most valuable first.
     standing: Vec<usize>,
     /// Of how many explanations these are; `None` before the competition, and where some were refused.
@@ -125,6 +139,7 @@ impl Explanations {
             settled: parts.iter().map(|_| ClaimMap::new(rig.left.width, rig.left.height)).collect(),
             ends_taken: [0, 1].map(|_| Vec::with_capacity(nodes_max)),
             endless: Vec::with_capacity(EXPLANATIONS_MAX),
+            refined: Vec::with_capacity(REFINED_MAX),
             standing: Vec::with_capacity(EXPLANATIONS_MAX),
             decided: None,
             tried: Vec::with_capacity(EXPLANATIONS_MAX),
@@ -135,6 +150,7 @@ impl Explanations {
     /// Forgets the last pair.
     pub(super) fn clear(&mut self, image_nodes: [&[ImageNode]; 2]) {
         self.count = 0;
+        self.refined.clear();
         self.decided = None;
         self.claims.iter_mut().chain(&mut self.settled).for_each(ClaimMap::clear);
         for (taken, nodes) in self.ends_taken.iter_mut().zip(image_nodes) {
@@ -195,25 +211,44 @@ impl Explanations {
         in_time && self.count < EXPLANATIONS_MAX
     }
 
-    /// Refines a coarse pose and notes what comes of it.
-    fn conclude(&mut self, scene: &Scene, hypothesis: &Hypothesis, pose: &Isometry3<f64>) {
-        let prepared = &scene.parts[hypothesis.part];
-        let model = &prepared.pose_model;
+    /// Follows a coarse pose to where it leads, each but once.
+    fn conclude(&mut self, scene: &Scene, hypothesis: &Hypothesis, coarse: &Isometry3<f64>) {
         if self.count == EXPLANATIONS_MAX {
             return;
         }
-        if let Some(index) = prepared.place_among(self.all(), hypothesis.part, pose, SAME_COARSE_MM) {
-            self.arrive_at(index, scene);
+        let (part, prepared) = (hypothesis.part, &scene.parts[hypothesis.part]);
+        let is_same = |r: &&Refined| r.part == part && prepared.is_near(&r.coarse, coarse, SAME_START_MM);
+        let near = prepared.place_among(self.all(), part, coarse, SAME_COARSE_MM);
+        let known = near.map(Some).or_else(|| Some(self.refined.iter().find(is_same)?.led_to));
+        if let Some(led_to) = known {
+            if let Some(index) = led_to {
+                self.arrive_at(index, scene);
+            }
             return;
         }
-        let Some(fit) = self.refine.fine(model, pose, &scene.views) else { return };
+        let led_to = self.refine_to(scene, hypothesis, coarse);
+        if self.refined.len() < REFINED_MAX {
+            self.refined.push(Refined { part, coarse: *coarse, led_to });
+        }
+    }
+
+    /// Refines a coarse pose and notes what comes of it: the index of the explanation, if it is one.
+    fn refine_to(
+        &mut self,
+        scene: &Scene,
+        hypothesis: &Hypothesis,
+        coarse: &Isometry3<f64>,
+    ) -> Option<usize> {
+        let prepared = &scene.parts[hypothesis.part];
+        let model = &prepared.pose_model;
+        let fit = self.refine.fine(model, coarse, &scene.views)?;
         let pose = &fit.left_from_part;
         if prepared.is_too_steep(pose, &scene.down, scene.slope_rad_max) {
-            return;
+            return None;
         }
         if let Some(index) = prepared.place_among(self.all(), hypothesis.part, pose, [SAME_MM; 2]) {
             self.arrive_at(index, scene);
-            return;
+            return Some(index);
         }
         let explanation = &mut self.list[self.count];
         (explanation.hypothesis, explanation.fit) = (*hypothesis, fit);
@@ -239,6 +274,7 @@ impl Explanations {
             self.take_ends(index, scene);
         }
         self.claim_anchored(scene.parts);
+        Some(index)
     }
 
     /// Another hypothesis has led to this explanation. Where both pictures show an end of it, what starts from that end

@@ -45,6 +45,19 @@ fn compete_slowly(
 }
 
 #[test]
+fn every_coarse_pose_is_refined_but_once() {
+    let Recognizer { explanations, parts, .. } = after_a_pair();
+    let refined = &explanations.refined;
+    assert!(refined.len() > 10 && refined.iter().any(|r| r.led_to.is_some()));
+    for (k, a) in refined.iter().enumerate() {
+        assert!(a.led_to.is_none_or(|index| explanations.list[index].hypothesis.part == a.part));
+        let is_same =
+            |b: &Refined| b.part == a.part && parts[a.part].distance_mm(&a.coarse, &b.coarse) < SAME_START_MM;
+        assert!(!refined[..k].iter().any(is_same));
+    }
+}
+
+#[test]
 fn the_competition_ends_as_if_every_worth_were_asked_again_each_time() {
     let Recognizer { mut explanations, parts, params, .. } = after_a_pair();
     let expected = compete_slowly(&mut explanations, &parts, &params.select);
