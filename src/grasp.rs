@@ -241,6 +241,11 @@ pub fn lies_over(params: &Params, upper: &Placed, lower: &Placed) -> bool {
     })
 }
 
+/// How far from the tool point the open fingers reach, in mm, across the approach.
+pub fn fingers_reach_mm(gripper: &Gripper, grasp: &Grasp) -> f64 {
+    (grasp.opening_mm / 2.0 + gripper.finger_thickness_mm).hypot(gripper.finger_width_mm / 2.0)
+}
+
 /// Whether both fingers can come down beside the wire without meeting another part.
 fn fingers_fit<'a>(params: &Params, mut others: impl Iterator<Item = &'a Placed<'a>>, grasp: &Grasp) -> bool {
     let gripper = &params.gripper;

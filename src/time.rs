@@ -142,12 +142,12 @@ impl Budget {
         matches!(*self, Budget::Until(end) if Timestamp::now() >= end)
     }
 
-    /// Half of the time that is left; a count of iterations stays.
-    pub fn half(self) -> Budget {
+    /// This share of the time that is left, 0 to 1; a count of iterations stays.
+    pub fn share(self, share: f64) -> Budget {
         match self {
             Budget::Until(end) => {
                 let now = Timestamp::now();
-                Budget::Until(Timestamp(now.0 + end.since(now) / 2))
+                Budget::Until(Timestamp(now.0 + (end.since(now) as f64 * share) as i64))
             }
             iterations => iterations,
         }

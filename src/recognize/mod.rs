@@ -28,6 +28,7 @@
 
 mod explanations;
 mod found;
+mod in_time;
 mod params;
 mod prepared;
 mod result;
@@ -54,6 +55,7 @@ use crate::vision::ridge::{self, Ridges};
 
 use explanations::{Explanations, Scene};
 use found::found;
+use in_time::stands_alone;
 pub use params::Params;
 use prepared::Prepared;
 use result::PARTS_MAX;
@@ -61,6 +63,10 @@ pub use result::{FoundNode, FoundPart, NoPick, Recognition, Refusal, Seen, Side,
 use unexplained::{half_width_px, is_claimed, unexplained_px};
 use views::{lit, views};
 
+/// Shares of the time that is left: for the search, and then for looking at what it found, which takes about as long. The
+/// rest is for the competition and the grasps.
+const SEARCH_SHARE: f64 = 0.5;
+const LOOK_SHARE: f64 = 0.8;
 /// Most hypotheses of a pair.
 const HYPOTHESES_MAX: usize = 16384;
 
@@ -148,15 +154,17 @@ impl Recognizer {
         let nodes = |p: &Picture| p.graph().nodes.len();
         (out.nodes_left, out.nodes_right) = (nodes(&self.pictures[0]), nodes(&self.pictures[1]));
         let seen = Timestamp::now();
-        // What is found must be looked at, too, which takes about as long.
-        self.search(budget.half(), seed, out);
+        self.search(budget.share(SEARCH_SHARE), seed, out);
         let matched = Timestamp::now();
         self.explanations.clear(self.pictures.each_ref().map(Picture::nodes));
-        self.explain(pair, budget, out);
-        if !budget.is_over() && self.search_ridges(pair) {
-            self.explain(pair, budget, out);
+        let looking = budget.share(LOOK_SHARE);
+        let mut all_looked_at = self.explain(pair, looking);
+        if all_looked_at && !looking.is_over() && self.search_ridges(pair) {
+            all_looked_at = self.explain(pair, looking);
         }
-        self.compete(pair, budget, out);
+        all_looked_at &= !looking.is_over();
+        out.out_of_time |= !all_looked_at;
+        self.compete(pair, all_looked_at, budget, out);
         self.grasp(out);
         if budget.is_over() {
             out.out_of_time = true;
@@ -301,9 +309,9 @@ impl Recognizer {
         })
     }
 
-    /// Holds the pool's hypotheses against both pictures.
-    fn explain(&mut self, pair: &FramePair, budget: Budget, out: &mut Recognition) {
-        let Some(views) = views(&self.pictures, &self.rig, pair, &self.params) else { return };
+    /// Holds the pool's hypotheses against both pictures; says whether all of them.
+    fn explain(&mut self, pair: &FramePair, budget: Budget) -> bool {
+        let Some(views) = views(&self.pictures, &self.rig, pair, &self.params) else { return true };
         let scene = Scene {
             parts: &self.parts,
             views,
@@ -312,11 +320,12 @@ impl Recognizer {
             down: grasp::down_in_left(&self.params.grasp),
             slope_rad_max: self.params.slope_rad_max,
         };
-        out.out_of_time |= !self.explanations.explain(&scene, &self.pool, budget);
+        self.explanations.explain(&scene, &self.pool, budget)
     }
 
-    /// Lets the explanations compete; those that stand are the parts.
-    fn compete(&mut self, pair: &FramePair, budget: Budget, out: &mut Recognition) {
+    /// Lets the explanations compete; those that stand are the parts. Was not all looked at, those are blocked that do
+    /// not stand alone.
+    fn compete(&mut self, pair: &FramePair, all_looked_at: bool, budget: Budget, out: &mut Recognition) {
         let Self { explanations, parts, rig, pictures, params, .. } = self;
         let Some(views) = views(pictures, rig, pair, params) else { return };
         let shading = explanations.shading();
@@ -327,6 +336,17 @@ impl Recognizer {
             let prepared = &parts[explanation.hypothesis.part];
             found(params, rig, pictures, prepared, explanation, &shading, &views, out.iterations)
         }));
+        if all_looked_at {
+            return;
+        }
+        explanations.claim_standing();
+        let claims = explanations.claims();
+        for (found, explanation) in out.parts.iter_mut().zip(explanations.standing()) {
+            let prepared = &parts[found.part];
+            if !stands_alone(&params.grasp, rig, prepared, explanation, found, pictures, claims) {
+                found.blocked = Some(Blocked::OutOfTime);
+            }
+        }
     }
 
     /// Finds what is blocked and ranks.
@@ -341,7 +361,8 @@ impl Recognizer {
             .collect();
         drop(placed);
         for (found, blocked) in out.parts.iter_mut().zip(blocked) {
-            found.blocked = blocked.or((!found.proven).then_some(Blocked::Uncertain));
+            let uncertain = (!found.proven).then_some(Blocked::Uncertain);
+            found.blocked = blocked.or(uncertain).or(found.blocked);
         }
         // What may not be there at all comes last.
         let rank = |f: &FoundPart| match f.blocked {
@@ -365,8 +386,7 @@ impl Recognizer {
         if out.parts.iter().any(|p| p.blocked.is_none()) {
             return None;
         }
-        let late = |p: &FoundPart| p.blocked == Some(Blocked::OutOfTime);
-        Some(if out.parts.iter().any(late) || (out.parts.is_empty() && out.out_of_time) {
+        Some(if out.out_of_time {
             NoPick::OutOfTime
         } else if !out.parts.is_empty() {
             NoPick::AllBlocked

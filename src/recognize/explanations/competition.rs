@@ -71,6 +71,14 @@ impl Explanations {
         self.standing.iter().map(|&index| &self.list[index])
     }
 
+    /// Claims the wire of those that stand, and no other.
+    pub(in crate::recognize) fn claim_standing(&mut self) {
+        self.claims.iter_mut().for_each(ClaimMap::clear);
+        for k in 0..self.standing.len() {
+            self.claim(self.standing[k]);
+        }
+    }
+
     /// Moves those that stand out of each other, where they cross.
     pub(in crate::recognize) fn press_apart(
         &mut self,
