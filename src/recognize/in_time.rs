@@ -66,9 +66,11 @@ mod tests {
     use crate::session::Session;
     use crate::time::Budget;
 
-    /// Which parts of a recorded pair stand alone, with what all of them claim and with nothing claimed, and why they are
-    /// blocked when all was looked at.
-    fn standing_alone(pair: usize) -> ([Vec<(bool, Option<Blocked>)>; 2], Recognition) {
+    /// Whether each part stands alone, and why it is blocked when all was looked at.
+    type Standing = Vec<(bool, Option<Blocked>)>;
+
+    /// For the parts of a recorded pair: with what all of them claim, and with nothing claimed.
+    fn standing_alone(pair: usize) -> ([Standing; 2], Recognition) {
         let replay = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("replay");
         let session = Session::open(&replay.join("conveyor")).unwrap();
         let [Some(left), Some(right)] = &session.pairs[pair].pictures else { panic!("a whole pair") };

@@ -63,10 +63,11 @@ pub use result::{FoundNode, FoundPart, NoPick, Recognition, Refusal, Seen, Side,
 use unexplained::{half_width_px, is_claimed, unexplained_px};
 use views::{lit, views};
 
-/// Shares of the time that is left: for the search, and then for looking at what it found, which takes about as long. The
-/// rest is for the competition and the grasps.
+/// Shares of the time that is left each time: for the search, for looking at what it found, which takes about as long, and
+/// for the competition. The rest is for the grasps.
 const SEARCH_SHARE: f64 = 0.5;
-const LOOK_SHARE: f64 = 0.8;
+const LOOK_SHARE: f64 = 0.7;
+const COMPETE_SHARE: f64 = 0.5;
 /// Most hypotheses of a pair.
 const HYPOTHESES_MAX: usize = 16384;
 
@@ -329,7 +330,7 @@ impl Recognizer {
         let Self { explanations, parts, rig, pictures, params, .. } = self;
         let Some(views) = views(pictures, rig, pair, params) else { return };
         let shading = explanations.shading();
-        explanations.decide(parts, &params.select, &views, budget, PARTS_MAX);
+        explanations.decide(parts, &params.select, &views, budget.share(COMPETE_SHARE), PARTS_MAX);
         explanations.press_apart(parts, &grasp::down_in_left(&params.grasp), &views);
         let standing = explanations.standing();
         out.parts.extend(standing.map(|explanation| {
