@@ -41,6 +41,9 @@ pub enum Blocked {
     /// Something in the way of a finger.
     #[error("no room for the fingers")]
     NoRoom,
+    /// Wire that no recognised part has shows where the fingers go, or where something crosses the part.
+    #[error("something unknown is in the way")]
+    Unknown,
     /// The tool point of the grasp, its approach or its retreat is outside the box.
     #[error("outside the workspace")]
     OutsideWorkspace,

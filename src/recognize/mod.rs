@@ -28,12 +28,12 @@
 
 mod explanations;
 mod found;
-mod in_time;
 mod params;
 mod prepared;
 mod result;
 mod spread;
 mod unexplained;
+mod unknown;
 mod views;
 
 use arrayvec::ArrayVec;
@@ -55,12 +55,12 @@ use crate::vision::ridge::{self, Ridges};
 
 use explanations::{Explanations, Scene};
 use found::found;
-use in_time::stands_alone;
 pub use params::Params;
 use prepared::Prepared;
 use result::PARTS_MAX;
 pub use result::{FoundNode, FoundPart, NoPick, Recognition, Refusal, Seen, Side, StageTimes};
 use unexplained::{half_width_px, is_claimed, unexplained_px};
+use unknown::{Taken, Unknown};
 use views::{lit, views};
 
 /// Shares of the time that is left each time: for the search, for looking at what it found, which takes about as long, and
@@ -84,6 +84,7 @@ pub struct Recognizer {
     areas: [ridge::Area; 2],
     lines: Lines,
     explanations: Explanations,
+    unknown: Unknown,
     second: Option<hands::Owner>,
 }
 
@@ -107,6 +108,7 @@ impl Recognizer {
                 params.ridges.stretches_max,
             ),
             explanations: Explanations::new(lit(&params), &rig, params.nodes.nodes_max, &parts),
+            unknown: Unknown::new(&pictures),
             pictures,
             params,
             rig,
@@ -165,8 +167,8 @@ impl Recognizer {
         }
         all_looked_at &= !looking.is_over();
         out.out_of_time |= !all_looked_at;
-        self.compete(pair, all_looked_at, budget, out);
-        self.grasp(out);
+        self.compete(pair, budget, out);
+        self.grasp(all_looked_at, out);
         if budget.is_over() {
             out.out_of_time = true;
             for found in &mut out.parts {
@@ -324,9 +326,8 @@ impl Recognizer {
         self.explanations.explain(&scene, &self.pool, budget)
     }
 
-    /// Lets the explanations compete; those that stand are the parts. Was not all looked at, those are blocked that do
-    /// not stand alone.
-    fn compete(&mut self, pair: &FramePair, all_looked_at: bool, budget: Budget, out: &mut Recognition) {
+    /// Lets the explanations compete; those that stand are the parts.
+    fn compete(&mut self, pair: &FramePair, budget: Budget, out: &mut Recognition) {
         let Self { explanations, parts, rig, pictures, params, .. } = self;
         let Some(views) = views(pictures, rig, pair, params) else { return };
         let shading = explanations.shading();
@@ -337,33 +338,29 @@ impl Recognizer {
             let prepared = &parts[explanation.hypothesis.part];
             found(params, rig, pictures, prepared, explanation, &shading, &views, out.iterations)
         }));
-        if all_looked_at {
-            return;
-        }
-        explanations.claim_standing();
-        let claims = explanations.claims();
-        for (found, explanation) in out.parts.iter_mut().zip(explanations.standing()) {
-            let prepared = &parts[found.part];
-            if !stands_alone(&params.grasp, rig, prepared, explanation, found, pictures, claims) {
-                found.blocked = Some(Blocked::OutOfTime);
-            }
-        }
     }
 
     /// Finds what is blocked and ranks.
-    fn grasp(&self, out: &mut Recognition) {
-        let placed: ArrayVec<Placed, PARTS_MAX> = out
-            .parts
-            .iter()
-            .map(|f| self.parts[f.part].placed(&f.left_from_part, f.sigma_mm.max()))
-            .collect();
+    fn grasp(&mut self, all_looked_at: bool, out: &mut Recognition) {
+        let Self { parts, params, rig, pictures, explanations, unknown, .. } = self;
+        let placed: ArrayVec<Placed, PARTS_MAX> =
+            out.parts.iter().map(|f| parts[f.part].placed(&f.left_from_part, f.sigma_mm.max())).collect();
         let blocked: ArrayVec<Option<Blocked>, PARTS_MAX> = (0..placed.len())
-            .map(|i| grasp::blocked(&self.params.grasp, &placed, i, &out.parts[i].grasp))
+            .map(|i| grasp::blocked(&params.grasp, &placed, i, &out.parts[i].grasp))
             .collect();
         drop(placed);
-        for (found, blocked) in out.parts.iter_mut().zip(blocked) {
+        unknown.find(pictures, explanations.claims());
+        for ((found, blocked), explanation) in out.parts.iter_mut().zip(blocked).zip(explanations.standing())
+        {
             let uncertain = (!found.proven).then_some(Blocked::Uncertain);
-            found.blocked = blocked.or(uncertain).or(found.blocked);
+            found.blocked = blocked.or(uncertain).or_else(|| {
+                let prepared = &parts[found.part];
+                let taken = Taken { params: &params.grasp, rig, prepared, explanation, found };
+                match all_looked_at {
+                    true => unknown.is_in_the_way(&taken).then_some(Blocked::Unknown),
+                    false => (!taken.stands_alone(pictures)).then_some(Blocked::OutOfTime),
+                }
+            });
         }
         // What may not be there at all comes last.
         let rank = |f: &FoundPart| match f.blocked {

@@ -72,7 +72,7 @@ impl Explanations {
     }
 
     /// Claims the wire of those that stand, and no other.
-    pub(in crate::recognize) fn claim_standing(&mut self) {
+    fn claim_standing(&mut self) {
         self.claims.iter_mut().for_each(ClaimMap::clear);
         for k in 0..self.standing.len() {
             self.claim(self.standing[k]);
@@ -151,8 +151,8 @@ impl Explanations {
                 continue;
             }
             if is_changed {
-                // The claims are not those of what stands any more, and nobody asks for them.
                 std::mem::swap(&mut self.standing, &mut self.tried);
+                self.claim_standing();
             }
             return;
         }

@@ -1,0 +1,187 @@
+//! Wire that no recognised part has, and the parts that it is in the way of.
+//!
+//! Such wire is a part that was missed, or none of those that are looked for. Where both pictures show it at the fingers
+//! of a grasp, or beside a place where something crosses the part, the part is left. Was not all wire looked at, because
+//! time was over, much is unknown, and only a part that stands alone is taken.
+
+use nalgebra::Vector2;
+
+use super::explanations::Explanation;
+use super::prepared::Prepared;
+use super::result::FoundPart;
+use crate::grasp;
+use crate::matching::select::{self, ClaimMap};
+use crate::picture::Picture;
+use crate::pose::verify::{PieceSight, Sight};
+use crate::rig::Rig;
+
+/// In half widths of the wire: nearer to the middle of one of its pieces, which are two apart, the skeleton is its own; and
+/// within which the middle of another wire would touch it, half as many again for what thinning displaces.
+const OWN_HALF_WIDTHS: f64 = 1.5;
+const NEAR_HALF_WIDTHS: f64 = 3.0;
+
+/// Skeletons without what recognised parts claim.
+pub(super) struct Unknown {
+    left_and_right_px: [Vec<Vector2<f64>>; 2],
+}
+
+/// A part that is to be taken, and what is known of it.
+pub(super) struct Taken<'a> {
+    pub(super) params: &'a grasp::Params,
+    pub(super) rig: &'a Rig,
+    pub(super) prepared: &'a Prepared,
+    pub(super) explanation: &'a Explanation,
+    pub(super) found: &'a FoundPart,
+}
+
+impl Unknown {
+    /// With room for all of both skeletons.
+    pub(super) fn new(pictures: &[Picture; 2]) -> Self {
+        Self {
+            left_and_right_px: pictures.each_ref().map(|p| Vec::with_capacity(p.graph().points.capacity())),
+        }
+    }
+
+    /// Finds what the parts that claim all this do not have.
+    pub(super) fn find(&mut self, pictures: &[Picture; 2], claims: &[ClaimMap; 2]) {
+        for side in 0..2 {
+            let unknown_px = &mut self.left_and_right_px[side];
+            unknown_px.clear();
+            unknown_px.extend(skeleton(&pictures[side]).filter(|px| !claims[side].is_claimed_by_any(px)));
+        }
+    }
+
+    /// Whether both pictures show wire where the fingers go, or where it can be what crosses the part.
+    pub(super) fn is_in_the_way(&self, taken: &Taken) -> bool {
+        let comes_near = |fingers: bool, pieces: fn(&[PieceSight; 2]) -> bool| {
+            [0, 1].into_iter().all(|side: usize| {
+                taken.is_met(side, self.left_and_right_px[side].iter().copied(), fingers, pieces)
+            })
+        };
+        comes_near(true, |_| false)
+            || comes_near(false, |piece| piece.iter().any(|p| p.sight != Sight::Clear))
+    }
+}
+
+fn skeleton(picture: &Picture) -> impl Iterator<Item = Vector2<f64>> {
+    picture.graph().points.iter().map(|point| Vector2::from(point.map(f64::from)))
+}
+
+impl Taken<'_> {
+    /// Whether it can be taken whatever else there is: it is certain by itself, both pictures show all its wire, so that
+    /// nothing lies on it, and no other near it or where the fingers go.
+    pub(super) fn stands_alone(&self, pictures: &[Picture; 2]) -> bool {
+        let Explanation { fit, verdict, .. } = self.explanation;
+        let model = &self.prepared.pose_model;
+        let mut pieces = model.stations.iter().zip(&verdict.pieces);
+        pieces.all(|(s, piece)| s.at_joint || piece.iter().all(|p| p.sight == Sight::Clear))
+            && select::is_certain(fit, verdict, model.ends.len())
+            && ![0, 1]
+                .into_iter()
+                .any(|side: usize| self.is_met(side, skeleton(&pictures[side]), true, |_| true))
+    }
+
+    /// Whether some of this wire is not the part's own and comes near some of its `pieces`, or the `fingers`.
+    fn is_met(
+        &self,
+        side: usize,
+        wire_px: impl Iterator<Item = Vector2<f64>>,
+        fingers: bool,
+        pieces: impl Fn(&[PieceSight; 2]) -> bool,
+    ) -> bool {
+        let Self { params, rig, prepared, explanation, found } = self;
+        let at_mm = found.left_from_part * prepared.part.grasp.position_mm;
+        let grasp_px = if side == 0 { rig.project_left(&at_mm) } else { rig.project_right(&at_mm) };
+        let all = &explanation.verdict.pieces;
+        // What is not seen may be anywhere.
+        let (Some(grasp_px), Some(first)) = (grasp_px, all.first()) else { return true };
+        let (half_px, radius_mm) = (first[side].half_width_px, prepared.pose_model.radius_mm);
+        let fingers_mm = grasp::fingers_reach_mm(&params.gripper, &found.grasp) + radius_mm;
+        let fingers_px = fingers_mm * half_px / radius_mm;
+        let near = wire_px.filter(|px| {
+            let is_within = |of: &Vector2<f64>, reach_px: f64| (px - of).norm_squared() < reach_px * reach_px;
+            let beside = |p: &[PieceSight; 2], half_widths: f64| {
+                is_within(&p[side].expected_px, half_widths * half_px)
+            };
+            let meets = fingers && is_within(&grasp_px, fingers_px)
+                || all.iter().any(|p| pieces(p) && beside(p, NEAR_HALF_WIDTHS));
+            meets && !all.iter().any(|p| beside(p, OWN_HALF_WIDTHS))
+        });
+        // Claims leave single pixels out; a wire that comes near is seen over more than that.
+        near.count() as f64 > half_px
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::FramePair;
+    use crate::grasp::Blocked;
+    use crate::part::Part;
+    use crate::recognize::{Params, Recognition, Recognizer};
+    use crate::session::Session;
+    use crate::time::Budget;
+
+    /// A part: whether it can be taken whatever else there is, whether something is in its way, and why it is blocked.
+    #[derive(Debug)]
+    struct Known {
+        alone: bool,
+        in_the_way: bool,
+        blocked: Option<Blocked>,
+    }
+
+    /// For the parts of a recorded pair: with what all of them claim, and with nothing claimed.
+    fn of_pair(pair: usize) -> [Vec<Known>; 2] {
+        let replay = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("replay");
+        let session = Session::open(&replay.join("conveyor")).unwrap();
+        let [Some(left), Some(right)] = &session.pairs[pair].pictures else { panic!("a whole pair") };
+        let frames = FramePair { left: left.read().unwrap(), right: right.read().unwrap() };
+        let rig = Rig::read(replay.join("conveyor/calibration.yaml")).unwrap();
+        let rod = Part::read(replay.join("parts/rod-90.toml")).unwrap();
+        let mut recognizer = Recognizer::new(Params::default(), rig, vec![rod]).unwrap();
+        let mut out = Recognition::default();
+        recognizer.run(&frames, Budget::Iterations(100_000), 1, &mut out).unwrap();
+        let Recognizer { params, rig, parts, pictures, explanations, unknown, .. } = &mut recognizer;
+        let nothing = [&rig.left, &rig.right].map(|c| ClaimMap::new(c.width, c.height));
+        [explanations.claims(), &nothing].map(|claims| {
+            unknown.find(pictures, claims);
+            let of = |explanation: &Explanation| {
+                let is_it = |f: &&FoundPart| f.left_from_part == explanation.fit.left_from_part;
+                let found = out.parts.iter().find(is_it).unwrap();
+                let taken = Taken { params: &params.grasp, rig, prepared: &parts[0], explanation, found };
+                Known {
+                    alone: taken.stands_alone(pictures),
+                    in_the_way: unknown.is_in_the_way(&taken),
+                    blocked: found.blocked,
+                }
+            };
+            explanations.standing().map(of).collect()
+        })
+    }
+
+    #[test]
+    fn what_stands_alone_is_free_when_all_is_known() {
+        let mut alone = 0;
+        for pair in [0, 9, 12, 15, 19] {
+            for part in of_pair(pair).iter().flatten().filter(|part| part.alone) {
+                assert!(part.blocked.is_none() && !part.in_the_way, "pair {pair}: {part:?}");
+                alone += 1;
+            }
+        }
+        assert!(alone > 3, "{alone}");
+    }
+
+    #[test]
+    fn wire_that_nobody_claims_is_in_the_way() {
+        let [all_claimed, nothing_claimed] = of_pair(12);
+        let count = |parts: &[Known], which: fn(&Known) -> bool| parts.iter().filter(|p| which(p)).count();
+        assert_eq!(count(&all_claimed, |p| p.in_the_way), 0, "{all_claimed:?}");
+        assert!(count(&nothing_claimed, |p| p.in_the_way) >= 2, "{nothing_claimed:?}");
+    }
+
+    #[test]
+    fn nothing_stands_alone_in_a_heap() {
+        let known = of_pair(0);
+        assert!(known.iter().flatten().all(|part| !part.alone), "{known:?}");
+    }
+}
