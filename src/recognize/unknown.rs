@@ -96,10 +96,15 @@ impl Taken<'_> {
         // What is not seen may be anywhere.
         let (Some(grasp_px), Some(first)) = (grasp_px, all.first()) else { return true };
         let (half_px, radius_mm) = (first[side].half_width_px, prepared.pose_model.radius_mm);
-        let fingers_mm = grasp::fingers_reach_mm(&params.gripper, &found.grasp) + radius_mm;
-        let fingers_px = fingers_mm * half_px / radius_mm;
+        let px_per_mm = half_px / radius_mm;
+        let fingers_px = (grasp::fingers_reach_mm(&params.gripper, &found.grasp) + radius_mm) * px_per_mm;
+        // No piece is farther from the grasp than the wire is long.
+        let far_px = fingers_px + prepared.pose_model.length_mm * px_per_mm;
         let near = wire_px.filter(|px| {
             let is_within = |of: &Vector2<f64>, reach_px: f64| (px - of).norm_squared() < reach_px * reach_px;
+            if !is_within(&grasp_px, far_px) {
+                return false;
+            }
             let beside = |p: &[PieceSight; 2], half_widths: f64| {
                 is_within(&p[side].expected_px, half_widths * half_px)
             };
@@ -108,7 +113,8 @@ impl Taken<'_> {
             meets && !all.iter().any(|p| beside(p, OWN_HALF_WIDTHS))
         });
         // Claims leave single pixels out; a wire that comes near is seen over more than that.
-        near.count() as f64 > half_px
+        let many = half_px as usize + 1;
+        near.take(many).count() == many
     }
 }
 
