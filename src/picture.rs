@@ -34,21 +34,20 @@ impl Picture {
     ) -> Result<Self, binarize::ParamsError> {
         let (width, height) = (camera.width, camera.height);
         let binarize = Binarize::new(range, width, height)?;
+        let graph_limits = params.graph.unwrap_or(graph::Params::for_size(width, height));
+        let mut graph = Graph::default();
+        graph.reserve(&graph_limits);
         let output = if binarize.needs_luma_only() { Output::Grey } else { Output::Rgb };
         Ok(Self {
             decoder: Decoder::new(output, width, height),
             luma: LumaPlane::new(width, height),
             binarize,
             thin: Thin::new(params.thin, width, height),
-            graphs: Graphs::new(
-                params.graph.unwrap_or(graph::Params::for_size(width, height)),
-                width,
-                height,
-            ),
+            graphs: Graphs::new(graph_limits, width, height),
             image_nodes: ImageNodes::new(params.nodes),
             mask: BitImage::new(width, height),
             skeleton: BitImage::new(width, height),
-            graph: Graph::default(),
+            graph,
             camera,
         })
     }
