@@ -166,9 +166,9 @@ impl Recognizer {
             all_looked_at = self.explain(pair, looking);
         }
         all_looked_at &= !looking.is_over();
-        out.out_of_time |= !all_looked_at;
-        self.compete(pair, budget, out);
-        self.grasp(all_looked_at, out);
+        let in_time = self.compete(pair, budget, out) && all_looked_at;
+        out.out_of_time |= !in_time;
+        self.grasp(in_time, out);
         if budget.is_over() {
             out.out_of_time = true;
             for found in &mut out.parts {
@@ -326,22 +326,24 @@ impl Recognizer {
         self.explanations.explain(&scene, &self.pool, budget)
     }
 
-    /// Lets the explanations compete; those that stand are the parts.
-    fn compete(&mut self, pair: &FramePair, budget: Budget, out: &mut Recognition) {
+    /// Lets the explanations compete; those that stand are the parts. Says whether there was time for it.
+    fn compete(&mut self, pair: &FramePair, budget: Budget, out: &mut Recognition) -> bool {
         let Self { explanations, parts, rig, pictures, params, .. } = self;
-        let Some(views) = views(pictures, rig, pair, params) else { return };
+        let Some(views) = views(pictures, rig, pair, params) else { return true };
         let shading = explanations.shading();
-        explanations.decide(parts, &params.select, &views, budget.share(COMPETE_SHARE), PARTS_MAX);
+        let in_time =
+            explanations.decide(parts, &params.select, &views, budget.share(COMPETE_SHARE), PARTS_MAX);
         explanations.press_apart(parts, &grasp::down_in_left(&params.grasp), &views);
         let standing = explanations.standing();
         out.parts.extend(standing.map(|explanation| {
             let prepared = &parts[explanation.hypothesis.part];
             found(params, rig, pictures, prepared, explanation, &shading, &views, out.iterations)
         }));
+        in_time
     }
 
-    /// Finds what is blocked and ranks.
-    fn grasp(&mut self, all_looked_at: bool, out: &mut Recognition) {
+    /// Finds what is blocked and ranks; was there no time for all, what does not stand alone is blocked.
+    fn grasp(&mut self, in_time: bool, out: &mut Recognition) {
         let Self { parts, params, rig, pictures, explanations, unknown, .. } = self;
         let placed: ArrayVec<Placed, PARTS_MAX> =
             out.parts.iter().map(|f| parts[f.part].placed(&f.left_from_part, f.sigma_mm.max())).collect();
@@ -356,7 +358,7 @@ impl Recognizer {
             found.blocked = blocked.or(uncertain).or_else(|| {
                 let prepared = &parts[found.part];
                 let taken = Taken { params: &params.grasp, rig, prepared, explanation, found };
-                match all_looked_at {
+                match in_time {
                     true => unknown.is_in_the_way(&taken).then_some(Blocked::Unknown),
                     false => (!taken.stands_alone(pictures)).then_some(Blocked::OutOfTime),
                 }

@@ -88,7 +88,7 @@ pub enum NoPick {
     /// Parts were recognised, none can be taken.
     #[error("all blocked")]
     AllBlocked,
-    /// The budget was spent before all wire was looked at, and nothing that was found by then can be taken.
+    /// The budget was spent before all was searched and looked at, and nothing that was found by then can be taken.
     #[error("out of time")]
     OutOfTime,
 }

@@ -50,7 +50,8 @@ impl Explanations {
         }
     }
 
-    /// Decides which stand, at most so many, and where those lie that nothing holds along themselves.
+    /// Decides which stand, at most so many, and where those lie that nothing holds along themselves; says whether there was
+    /// time to weigh them all.
     pub(in crate::recognize) fn decide(
         &mut self,
         parts: &[Prepared],
@@ -58,12 +59,13 @@ impl Explanations {
         views: &[View; 2],
         budget: Budget,
         most: usize,
-    ) {
-        self.weigh(parts, params, budget);
+    ) -> bool {
+        let in_time = self.weigh(parts, params, budget);
         self.standing.truncate(most);
         for k in 0..self.standing.len() {
             self.centre(self.standing[k], parts, views);
         }
+        in_time
     }
 
     /// Those that stand, the most valuable first.
@@ -116,8 +118,8 @@ impl Explanations {
     }
 
     /// Decides which stand. What is worth most may take wire from two that together are worth more: those that leave doubt
-    /// are dropped where the others then make more of the wire. Is time over, what stands stays.
-    pub(super) fn weigh(&mut self, parts: &[Prepared], params: &select::Params, budget: Budget) {
+    /// are dropped where the others then make more of the wire. Is time over, what stands stays; says whether it was not.
+    pub(super) fn weigh(&mut self, parts: &[Prepared], params: &select::Params, budget: Budget) -> bool {
         if self.decided != Some(self.count) {
             self.compete(parts, params, |_, _| true);
         }
@@ -127,11 +129,11 @@ impl Explanations {
             self.tried.extend(&self.standing);
             self.find_rivals(parts);
             let mut best = None;
-            let mut is_changed = false;
+            let (mut is_changed, mut in_time) = (false, true);
             for k in 0..self.tried.len() {
                 let index = self.tried[k];
                 if budget.is_over() {
-                    best = None;
+                    (best, in_time) = (None, false);
                     break;
                 }
                 if !self.has_rivals(index, parts) {
@@ -154,8 +156,9 @@ impl Explanations {
                 std::mem::swap(&mut self.standing, &mut self.tried);
                 self.claim_standing();
             }
-            return;
+            return in_time;
         }
+        true
     }
 
     /// Leaves out one that stands, and other places of the same part along its wire, but nothing else any more.
