@@ -6,7 +6,8 @@ use super::refine::View;
 use super::width::ONE_WIRE;
 use crate::vision::bits::{BitImage, nearest};
 
-/// Where the width is looked at before an end, in half widths.
+/// Where the width is looked at before an end, in half widths; the last one not of a dark wire, which its shadow
+/// widens on one side.
 const BARE_HALF_WIDTHS: [f64; 3] = [0.8, 1.6, 2.8];
 /// See [`super::refine::EndSighting::mask_beyond_px`].
 const HIDDEN_PX_MAX: u32 = 12;
@@ -57,7 +58,8 @@ pub(super) fn aim(radius_mm: f64, point: &Point3<f64>, tangent: &Vector3<f64>, v
 /// Whether the wire just before an end seen `beyond` pixels beyond its expected place is as wide as one wire: an
 /// end that lies on another wire is not where the bright region ends, nor one of which a neighbour hides a corner.
 pub(super) fn end_is_bare(aim: &Aim, beyond: f64, view: &View) -> bool {
-    BARE_HALF_WIDTHS.iter().all(|&back| {
+    let places = if view.profiler.dark_parts() { &BARE_HALF_WIDTHS[..2] } else { &BARE_HALF_WIDTHS[..] };
+    places.iter().all(|&back| {
         let at = aim.px + aim.along * (beyond - back * aim.half_width_px);
         view.profiler
             .across(at, aim.across, aim.half_width_px, 1.5)

@@ -55,6 +55,11 @@ impl<'a> Profiler<'a> {
         Self { luma, sign: if dark_parts { -1.0 } else { 1.0 }, contrast_min }
     }
 
+    /// Whether the parts are darker than the background.
+    pub fn dark_parts(&self) -> bool {
+        self.sign < 0.0
+    }
+
     fn inside(&self, at: Vector2<f64>) -> bool {
         (0.0..=(self.luma.width() - 1) as f64).contains(&at.x)
             && (0.0..=(self.luma.height() - 1) as f64).contains(&at.y)
@@ -99,7 +104,7 @@ impl<'a> Profiler<'a> {
         let bytes = &mut bytes[..=2 * half];
         let (x, y) = if down { (line, first) } else { (first, line) };
         self.luma.read_line(x as usize, y as usize, down, bytes);
-        if self.sign < 0.0 {
+        if self.dark_parts() {
             bytes.iter_mut().for_each(|b| *b = 255 - *b);
         }
         let window = (px(search_px + 0.5 * half_width_px) as usize).min(half);
@@ -107,7 +112,7 @@ impl<'a> Profiler<'a> {
         let fall = outline(bytes, half - window..half + window + 1, span, self.contrast_min)?;
         let to_px = |at: f64| (first + at - centre) * scale;
         let (mut low, mut high) = (fall.low.map(|c| to_px(c.at)), fall.high.map(|c| to_px(c.at)));
-        if self.sign < 0.0 {
+        if self.dark_parts() {
             without_shadow(&fall, &mut low, &mut high, 2.0 * half_width_px);
         }
         let (low_px, high_px) = if cos < 0.0 { (high.map(|h| -h), low.map(|l| -l)) } else { (low, high) };
