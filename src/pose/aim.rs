@@ -3,6 +3,7 @@
 use nalgebra::{Matrix2x3, Point3, Vector2, Vector3, Vector6};
 
 use super::refine::View;
+use super::section::Profiler;
 use super::width::ONE_WIRE;
 use crate::vision::bits::{BitImage, nearest};
 
@@ -57,11 +58,11 @@ pub(super) fn aim(radius_mm: f64, point: &Point3<f64>, tangent: &Vector3<f64>, v
 
 /// Whether the wire just before an end seen `beyond` pixels beyond its expected place is as wide as one wire: an
 /// end that lies on another wire is not where the bright region ends, nor one of which a neighbour hides a corner.
-pub(super) fn end_is_bare(aim: &Aim, beyond: f64, view: &View) -> bool {
-    let places = if view.profiler.dark_parts() { &BARE_HALF_WIDTHS[..2] } else { &BARE_HALF_WIDTHS[..] };
+pub(super) fn end_is_bare(aim: &Aim, beyond: f64, profiler: &Profiler) -> bool {
+    let places = if profiler.dark_parts() { &BARE_HALF_WIDTHS[..2] } else { &BARE_HALF_WIDTHS[..] };
     places.iter().all(|&back| {
         let at = aim.px + aim.along * (beyond - back * aim.half_width_px);
-        view.profiler
+        profiler
             .across(at, aim.across, aim.half_width_px, 1.5)
             .and_then(|s| s.middle_and_width())
             .is_some_and(|(middle, width)| {
@@ -78,4 +79,37 @@ pub(super) fn mask_beyond_px(mask: &BitImage, aim: &Aim) -> f64 {
         mask.get(nearest(at.x), nearest(at.y))
     };
     f64::from((0..HIDDEN_PX_MAX).find(|&k| !object(k + 1)).unwrap_or(HIDDEN_PX_MAX))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::{Frame, LumaView};
+
+    /// Whether an end is bare of a level wire 6 pixels wide, beside which something lies that begins some pixels before
+    /// the end; dark on a light floor, or with all light turned round.
+    fn is_bare(dark_parts: bool, begins_before_px: i32) -> bool {
+        let grey = |x: i32, y: i32| match y {
+            17..=22 if x <= 40 => 50u8,
+            23..=26 if x <= 40 - begins_before_px => 60 + 30 * (y - 22) as u8,
+            _ => 200,
+        };
+        let pixels = (0..40).flat_map(|y| (0..60).map(move |x| grey(x, y)));
+        let pixels = pixels.flat_map(|v| [if dark_parts { v } else { 255 - v }; 3]);
+        let frame = Frame::from_rgb(60, 40, pixels.collect());
+        let aim = Aim {
+            px: Vector2::new(40.5, 19.5),
+            along: Vector2::x(),
+            across: Vector2::y(),
+            half_width_px: 3.0,
+            jacobian: Matrix2x3::zeros(),
+        };
+        end_is_bare(&aim, 0.0, &Profiler::new(LumaView::new(&frame).unwrap(), dark_parts, 12.0))
+    }
+
+    #[test]
+    fn only_close_to_its_end_must_a_dark_wire_be_bare_of_shadow() {
+        assert!(is_bare(true, 8) && !is_bare(true, 4));
+        assert!(is_bare(false, 10) && !is_bare(false, 8));
+    }
 }

@@ -298,7 +298,7 @@ impl Refine {
                 let beyond_px = view
                     .profiler
                     .end(aim.px, aim.along, aim.half_width_px, search_px, how)
-                    .filter(|&beyond| end_is_bare(&aim, beyond, view))
+                    .filter(|&beyond| end_is_bare(&aim, beyond, &view.profiler))
                     .map(|beyond| beyond + params.end_reach_radii * aim.half_width_px);
                 let hidden = how == EndLook::Close && beyond_px.is_none();
                 Some(EndSighting {
