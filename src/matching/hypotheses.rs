@@ -2,12 +2,15 @@
 //!
 //! A match of three nodes (two of a straight part) holds a pose. Where a neighbour hides the other nodes, one node
 //! and the directions of its wire do: an end with its line for a straight part, a bend or a junction with its legs
-//! for any other.
+//! for any other. An end of a bent part leaves the turn about its wire open: those are taken at which the rest of its
+//! wire is foreground.
 
-use nalgebra::{Isometry3, Point3, Vector3};
+use std::f64::consts::TAU;
+
+use nalgebra::{Isometry3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 
 use super::fitness::{Judge, StereoMatch, UNMATCHED};
-use super::nodes::ImageNode;
+use super::nodes::{ImageNode, NodeRole};
 use super::placement::{motion_of_directions, rigid_motion};
 use super::problem::{ANCHORS_MAX, Anchor, MatchModel, StereoNode, leg_direction};
 use crate::rig::Rig;
@@ -97,54 +100,138 @@ const SLOPE_TAN_MAX: f64 = 1.2;
 
 const SPACE_LEGS_MAX: usize = 8;
 
+/// A stereo node by itself.
+#[derive(Clone, Copy, Debug)]
+pub struct SingleNode<'a> {
+    /// Its index.
+    pub index: usize,
+    /// The node.
+    pub node: &'a StereoNode,
+    /// What the left and the right picture show of it.
+    pub images: [&'a ImageNode; 2],
+}
+
+impl SingleNode<'_> {
+    /// The hypothesis that it is this anchor of a part, for which this share of the wire speaks; `unknown` more things are
+    /// not known than the other anchors.
+    fn hypothesis(
+        &self,
+        (part, anchor): (usize, usize),
+        judge: &Judge,
+        (left_from_part, coverage): (Isometry3<f64>, f64),
+        unknown: usize,
+    ) -> Hypothesis {
+        let mut nodes = [UNMATCHED; ANCHORS_MAX];
+        nodes[anchor] = self.index as u16;
+        let unmatched = (judge.model.anchors.len() - 1 + unknown) as f64;
+        let fitness = judge.weights.missing * (1.0 - coverage)
+            + judge.weights.unmatched * unmatched
+            + judge.weights.gap_per_px * self.node.gap_px;
+        Hypothesis { part, left_from_part, fitness, nodes }
+    }
+}
+
+fn keep(hypothesis: Hypothesis, pool: &mut Vec<Hypothesis>) {
+    if pool.len() < pool.capacity() {
+        pool.push(hypothesis);
+    }
+}
+
 /// Adds to `pool` the poses of part `part` that one stereo node and its legs hold.
-#[allow(clippy::too_many_arguments)]
 pub fn of_single_node(
     params: &SingleParams,
     part: usize,
     judge: &Judge,
-    rig: &Rig,
-    index: usize,
-    node: &StereoNode,
-    left: &[ImageNode],
-    right: &[ImageNode],
+    single: &SingleNode,
     pool: &mut Vec<Hypothesis>,
 ) {
+    let node = single.node;
     let mut legs = [SpaceLeg { direction: Vector3::zeros(), towards: None }; SPACE_LEGS_MAX];
-    let count =
-        space_legs(params, rig, node, &left[node.left as usize], &right[node.right as usize], &mut legs);
+    let count = space_legs(params, judge.rig, node, single.images, &mut legs);
     let legs = &legs[..count];
     for (a, anchor) in judge.model.anchors.iter().enumerate() {
         if anchor.is_repeated || !super::fitness::may_be(anchor.role, node.role) {
             continue;
         }
-        let mut keep = |pose: Option<Isometry3<f64>>| {
-            let Some(left_from_part) = pose else { return false };
-            let Some(coverage) = judge.coverage(&left_from_part, params.coverage_min) else { return false };
-            if pool.len() == pool.capacity() {
-                return false;
-            }
-            let mut nodes = [UNMATCHED; ANCHORS_MAX];
-            nodes[a] = index as u16;
-            let unmatched = (judge.model.anchors.len() - 1) as f64;
-            let fitness = judge.weights.missing * (1.0 - coverage)
-                + judge.weights.unmatched * unmatched
-                + judge.weights.gap_per_px * node.gap_px;
-            pool.push(Hypothesis { part, left_from_part, fitness, nodes });
-            true
+        let mut try_at = |directions: &[(Vector3<f64>, Vector3<f64>)]| {
+            let pose = motion_of_directions(&anchor.position_mm, &node.point_mm, directions)?;
+            let coverage = judge.coverage(&pose, params.coverage_min)?;
+            keep(single.hypothesis((part, a), judge, (pose, coverage), 0), pool);
+            Some(())
         };
         if judge.model.straight {
             for leg in legs {
-                keep(motion_of_directions(
-                    &anchor.position_mm,
-                    &node.point_mm,
-                    &[(anchor.legs[0].0, leg.direction)],
-                ));
+                try_at(&[(anchor.legs[0].0, leg.direction)]);
             }
         } else {
-            for_leg_pairs(params, anchor, legs, |pairs| {
-                keep(motion_of_directions(&anchor.position_mm, &node.point_mm, pairs))
+            for_leg_pairs(params, anchor, legs, |pairs| try_at(pairs).is_some());
+        }
+    }
+}
+
+/// Adds to `pool` the poses of a bent part `part` that an end, which holds it but for a turn about the wire there, and the
+/// foreground hold, of those that `may_lie` allows.
+pub fn of_single_end(
+    params: &SingleParams,
+    part: usize,
+    judge: &Judge,
+    single: &SingleNode,
+    may_lie: impl Fn(&Isometry3<f64>) -> bool,
+    pool: &mut Vec<Hypothesis>,
+) {
+    let node = single.node;
+    if node.role != NodeRole::End || judge.model.straight {
+        return;
+    }
+    let mut legs = [SpaceLeg { direction: Vector3::zeros(), towards: None }; SPACE_LEGS_MAX];
+    let count = space_legs(params, judge.rig, node, single.images, &mut legs);
+    for (a, anchor) in judge.model.anchors.iter().enumerate() {
+        let [(along, _)] = anchor.legs[..] else { continue };
+        if anchor.is_repeated {
+            continue;
+        }
+        for leg in &legs[..count] {
+            let Some(start) =
+                motion_of_directions(&anchor.position_mm, &node.point_mm, &[(along, leg.direction)])
+            else {
+                continue;
+            };
+            let turned = |turn: usize| {
+                let angle = turn as f64 * (TAU / TURNS as f64);
+                turned_about(&node.point_mm, &leg.direction, angle) * start
+            };
+            let coverages = std::array::from_fn(|turn| {
+                let pose = Some(turned(turn)).filter(&may_lie);
+                pose.and_then(|pose| judge.coverage(&pose, params.coverage_min)).unwrap_or(0.0)
             });
+            for_runs(&coverages, |turn| {
+                keep(single.hypothesis((part, a), judge, (turned(turn), coverages[turn]), 1), pool);
+            });
+        }
+    }
+}
+
+/// Into how many angles a part that is held by an end alone is turned about the wire there.
+const TURNS: usize = 24;
+
+/// A turn about a line through a point.
+fn turned_about(point: &Point3<f64>, direction: &Vector3<f64>, angle_rad: f64) -> Isometry3<f64> {
+    let rotation = UnitQuaternion::from_axis_angle(&Unit::new_normalize(*direction), angle_rad);
+    Isometry3::from_parts(Translation3::from(point - rotation * point), rotation)
+}
+
+/// Gives of every run of turns that follow each other, all round, the middle one of those with the largest share; 0 is in no
+/// run.
+fn for_runs(shares: &[f64; TURNS], mut found: impl FnMut(usize)) {
+    let begin = shares.iter().position(|share| *share == 0.0).unwrap_or(0);
+    let turns: [usize; TURNS] = std::array::from_fn(|k| (begin + k) % TURNS);
+    for run in turns.chunk_by(|a, b| (shares[*a] > 0.0) == (shares[*b] > 0.0)) {
+        let most = run.iter().map(|turn| shares[*turn]).fold(0.0, f64::max);
+        let largest = || run.iter().filter(|turn| shares[**turn] == most);
+        if most > 0.0
+            && let Some(turn) = largest().nth((largest().count() - 1) / 2)
+        {
+            found(*turn);
         }
     }
 }
@@ -185,8 +272,7 @@ fn space_legs(
     params: &SingleParams,
     rig: &Rig,
     node: &StereoNode,
-    left: &ImageNode,
-    right: &ImageNode,
+    [left, right]: [&ImageNode; 2],
     legs: &mut [SpaceLeg; SPACE_LEGS_MAX],
 ) -> usize {
     let mut count = 0;
@@ -220,7 +306,73 @@ fn level_direction(node: &StereoNode, leg: &super::nodes::Leg) -> Option<Vector3
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
+    use super::super::drawn::DrawnScene;
+    use super::super::nodes::Leg;
     use super::*;
+    use crate::part::Part;
+
+    /// What both pictures show of an end, by itself.
+    fn single_end(scene: &DrawnScene, anchor: usize) -> (StereoNode, [ImageNode; 2]) {
+        let pose = scene.left_from_part[0];
+        let Anchor { position_mm, legs, .. } = &scene.model.anchors[anchor];
+        let points = [0.0, 0.1 * legs[0].1, legs[0].1].map(|mm| pose * (position_mm + legs[0].0 * mm));
+        let project = [Rig::project_left, Rig::project_right];
+        let images =
+            [(&scene.rig.left, project[0]), (&scene.rig.right, project[1])].map(|(camera, project)| {
+                let [end, near, far] = points.map(|point| project(&scene.rig, &point).unwrap());
+                let mut image = ImageNode::bare(NodeRole::End, end, camera);
+                image.push_leg(Leg {
+                    direction_px: (far - end).normalize(),
+                    far_ray: camera.undistort(far),
+                    near_ray: camera.undistort(near),
+                    length_px: (far - end).norm(),
+                });
+                image
+            });
+        let seen_px = images.map(|image| image.position_px);
+        let role = NodeRole::End;
+        (StereoNode { left: 0, right: 0, point_mm: points[0], seen_px, gap_px: 0.0, role }, images)
+    }
+
+    #[test]
+    fn a_bent_part_is_turned_about_the_one_end_that_is_seen_until_its_wire_is_there() {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts/hook.toml");
+        let model = MatchModel::new(&Part::read(file).unwrap());
+        for seed in 0..20 {
+            let scene = DrawnScene::of(model.clone(), 1, seed);
+            let truth = scene.left_from_part[0];
+            let (node, images) = single_end(&scene, 0);
+            let single = SingleNode { index: 5, node: &node, images: [&images[0], &images[1]] };
+            let find = |may_lie: &dyn Fn(&Isometry3<f64>) -> bool| {
+                let mut pool = Vec::with_capacity(100);
+                of_single_end(&SingleParams::default(), 0, &scene.judge(), &single, may_lie, &mut pool);
+                pool
+            };
+            // A step of turns, and what thick wire leaves open.
+            let is_near = |h: &Hypothesis| h.left_from_part.rotation.angle_to(&truth.rotation) < 0.5;
+            let pool = find(&|_| true);
+            assert!(pool.iter().any(|h| is_near(h) && h.nodes[0] == 5), "{seed}: {pool:?}");
+            // As an end of the other leg, or turned over, it may fit as well; nothing else does.
+            assert!(pool.len() <= 4, "{seed}: {}", pool.len());
+            assert!(find(&|_| false).is_empty());
+        }
+    }
+
+    #[test]
+    fn of_the_turns_that_fit_the_middle_one_is_taken_all_round() {
+        let mut shares = [0.0; TURNS];
+        shares[7..10].fill(0.9);
+        (shares[TURNS - 2], shares[TURNS - 1], shares[0]) = (0.8, 1.0, 1.0);
+        let mut found = Vec::new();
+        for_runs(&shares, |turn| found.push(turn));
+        assert_eq!(found, [8, TURNS - 1]);
+        for_runs(&[0.0; TURNS], |_| unreachable!("nothing fits"));
+        found.clear();
+        for_runs(&[1.0; TURNS], |turn| found.push(turn));
+        assert_eq!(found.len(), 1);
+    }
 
     #[test]
     fn the_slope_of_wire_along_the_baseline_follows_from_its_corner() {

@@ -61,7 +61,7 @@ impl ImageNode {
         &self.legs[..self.leg_count as usize]
     }
 
-    fn push_leg(&mut self, leg: Leg) {
+    pub(super) fn push_leg(&mut self, leg: Leg) {
         if (self.leg_count as usize) < LEGS_MAX {
             self.legs[self.leg_count as usize] = leg;
             self.leg_count += 1;

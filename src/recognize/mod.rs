@@ -37,12 +37,12 @@ mod unknown;
 mod views;
 
 use arrayvec::ArrayVec;
+use nalgebra::Isometry3;
 
 use crate::frame::{FramePair, LumaView};
 use crate::grasp::{self, Blocked, Placed};
 use crate::hands;
-use crate::matching::fitness::Judge;
-use crate::matching::hypotheses::{self, Hypothesis};
+use crate::matching::hypotheses::{self, Hypothesis, SingleNode};
 use crate::matching::lines::{self, Lines};
 use crate::matching::search::Search;
 use crate::part::Part;
@@ -50,7 +50,6 @@ use crate::picture::Picture;
 use crate::rig::Rig;
 use crate::time::{Budget, Timestamp};
 use crate::vision::binarize;
-use crate::vision::level::Level;
 use crate::vision::ridge::{self, Ridges};
 
 use explanations::{Explanations, Scene};
@@ -162,6 +161,9 @@ impl Recognizer {
         self.explanations.clear(self.pictures.each_ref().map(Picture::nodes));
         let looking = budget.share(LOOK_SHARE);
         let mut all_looked_at = self.explain(pair, looking);
+        if all_looked_at && !looking.is_over() && self.search_ends(looking, out) {
+            all_looked_at = self.explain(pair, looking);
+        }
         if all_looked_at && !looking.is_over() && self.search_ridges(pair) {
             all_looked_at = self.explain(pair, looking);
         }
@@ -209,14 +211,7 @@ impl Recognizer {
         pool.clear();
         let thickness = parts.iter().map(|p| p.part.thickness_mm);
         let thickness_mm = [thickness.clone().fold(f64::INFINITY, f64::min), thickness.fold(0.0, f64::max)];
-        let judge_of = |part: usize| Judge {
-            rig,
-            masks: [pictures[0].mask(), pictures[1].mask()],
-            model: &parts[part].match_model,
-            weights: params.weights,
-            length_tolerance_mm: params.search.length_tolerance_mm,
-            level: Level::detect(),
-        };
+        let judge_of = |part: usize| parts[part].judge(rig, pictures, params);
         search.begin(rig, left, right, thickness_mm);
         search.run_exact(judge_of, budget);
         (out.iterations, out.out_of_time) = (search.iterations(), search.is_out_of_time());
@@ -228,7 +223,9 @@ impl Recognizer {
                     break;
                 }
                 out.iterations += 1;
-                hypotheses::of_single_node(&params.single, index, &judge, rig, n, node, left, right, pool);
+                let images = [&left[node.left as usize], &right[node.right as usize]];
+                let single = SingleNode { index: n, node, images };
+                hypotheses::of_single_node(&params.single, index, &judge, &single, pool);
             }
         }
         search.run_by_chance(rig, [left, right], judge_of, budget, &mut out.iterations, seed);
@@ -246,6 +243,30 @@ impl Recognizer {
         let slope_rad_max = params.slope_rad_max;
         pool.retain(|h| !parts[h.part].is_too_steep(&h.left_from_part, &down, slope_rad_max));
         pool.sort_unstable_by(|a, b| a.fitness.total_cmp(&b.fitness));
+    }
+
+    /// Fills the pool with rough poses of bent parts that ends hold which no explanation has; says whether there are any.
+    fn search_ends(&mut self, budget: Budget, out: &mut Recognition) -> bool {
+        let Self { pictures, rig, parts, search, pool, params, explanations, .. } = self;
+        let [left, right] = [pictures[0].nodes(), pictures[1].nodes()];
+        let down = grasp::down_in_left(&params.grasp);
+        pool.clear();
+        for (index, prepared) in parts.iter().enumerate().filter(|(_, p)| !p.match_model.straight) {
+            let judge = prepared.judge(rig, pictures, params);
+            let may_lie = |pose: &Isometry3<f64>| !prepared.is_too_steep(pose, &down, params.slope_rad_max);
+            for (n, node) in search.near_nodes().filter(|(_, node)| !explanations.has_end(node, prepared)) {
+                if budget.is_spent(out.iterations) {
+                    out.out_of_time = true;
+                    break;
+                }
+                out.iterations += 1;
+                let images = [&left[node.left as usize], &right[node.right as usize]];
+                let single = SingleNode { index: n, node, images };
+                hypotheses::of_single_end(&params.single, index, &judge, &single, may_lie, pool);
+            }
+        }
+        pool.sort_unstable_by(|a, b| a.fitness.total_cmp(&b.fitness));
+        !pool.is_empty()
     }
 
     /// Fills the pool with rough poses that straight wire holds which nothing explains for certain; says whether there
@@ -284,14 +305,7 @@ impl Recognizer {
         });
         lines.run(rig, [left, right], &down, slope_sin_max);
         for (index, prepared) in parts.iter().enumerate() {
-            let judge = Judge {
-                rig,
-                masks: [pictures[0].mask(), pictures[1].mask()],
-                model: &prepared.match_model,
-                weights: params.weights,
-                length_tolerance_mm: params.search.length_tolerance_mm,
-                level: Level::detect(),
-            };
+            let judge = prepared.judge(rig, pictures, params);
             lines.hypotheses(index, &judge, pool);
         }
         let slope_rad_max = params.slope_rad_max;

@@ -5,12 +5,17 @@ use std::f64::consts::FRAC_PI_2;
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::explanations::Explanation;
+use super::params::Params;
 use crate::grasp::Placed;
+use crate::matching::fitness::Judge;
 use crate::matching::problem::MatchModel;
 use crate::matching::select;
 use crate::part::Part;
+use crate::picture::Picture;
 use crate::pose::model::PoseModel;
 use crate::pose::verify::Stop;
+use crate::rig::Rig;
+use crate::vision::level::Level;
 
 /// A part and all that is worked out of it beforehand.
 pub(super) struct Prepared {
@@ -38,6 +43,23 @@ impl Prepared {
 
     pub(super) fn placed<'a>(&'a self, left_from_part: &'a Isometry3<f64>, sigma_mm: f64) -> Placed<'a> {
         Placed { part: &self.part, model: &self.pose_model, left_from_part, sigma_mm }
+    }
+
+    /// What its rough poses are judged by.
+    pub(super) fn judge<'a>(
+        &'a self,
+        rig: &'a Rig,
+        pictures: &'a [Picture; 2],
+        params: &Params,
+    ) -> Judge<'a> {
+        Judge {
+            rig,
+            masks: [pictures[0].mask(), pictures[1].mask()],
+            model: &self.match_model,
+            weights: params.weights,
+            length_tolerance_mm: params.search.length_tolerance_mm,
+            level: Level::detect(),
+        }
     }
 
     /// Length of wire that must be seen of it, in radii.

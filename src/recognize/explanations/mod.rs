@@ -357,11 +357,15 @@ impl Explanations {
     }
 
     fn takes_taken_end(&self, scene: &Scene, hypothesis: &Hypothesis) -> bool {
-        let length_mm = scene.parts[hypothesis.part].pose_model.length_mm;
-        hypothesis.nodes.iter().filter(|n| **n != UNMATCHED).any(|&n| {
-            let node = &scene.stereo_nodes[n as usize];
-            self.ends_taken[0][node.left as usize].max(self.ends_taken[1][node.right as usize]) >= length_mm
-        })
+        let prepared = &scene.parts[hypothesis.part];
+        let mut nodes = hypothesis.nodes.iter().filter(|n| **n != UNMATCHED);
+        nodes.any(|&n| self.has_end(&scene.stereo_nodes[n as usize], prepared))
+    }
+
+    /// Whether a node is an end of an explanation that is held by it, and whose part is not shorter than this one.
+    pub(super) fn has_end(&self, node: &StereoNode, prepared: &Prepared) -> bool {
+        let length_mm = self.ends_taken[0][node.left as usize].max(self.ends_taken[1][node.right as usize]);
+        length_mm >= prepared.pose_model.length_mm
     }
 
     /// Whether most of the wire that a part at a pose would explain need not be explained again.
