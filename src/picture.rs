@@ -10,7 +10,7 @@ use crate::vision::bits::BitImage;
 use crate::vision::decode::{Decoder, Output};
 use crate::vision::graph::{self, Graph, Graphs};
 use crate::vision::luma::LumaPlane;
-use crate::vision::thin::Thin;
+use crate::vision::thin::whole::WholeThin;
 
 /// The stages of one camera and what they made of its last picture.
 pub struct Picture {
@@ -18,7 +18,7 @@ pub struct Picture {
     decoder: Decoder,
     luma: LumaPlane,
     binarize: Binarize,
-    thin: Thin,
+    thin: WholeThin,
     graphs: Graphs,
     image_nodes: ImageNodes,
     mask: BitImage,
@@ -42,7 +42,7 @@ impl Picture {
             decoder: Decoder::new(output, width, height),
             luma: LumaPlane::new(width, height),
             binarize,
-            thin: Thin::new(params.thin, width, height),
+            thin: WholeThin::new(params.thin, width, height),
             graphs: Graphs::new(graph_limits, width, height),
             image_nodes: ImageNodes::new(params.nodes),
             mask: BitImage::new(width, height),

@@ -12,6 +12,7 @@
 mod delete;
 pub mod slow;
 mod tiles;
+pub mod whole;
 
 use crate::vision::bits::BitImage;
 use crate::vision::level::Level;
