@@ -60,6 +60,8 @@ impl Default for Params {
 
 /// The misfit that sound explanations have.
 const MISFIT_USUAL: f64 = 0.6;
+/// From this misfit on the pictures contradict the pose.
+const MISFIT_MAX: f64 = 1.5;
 /// Directions told apart in a claim, over half a turn.
 const DIRECTIONS: i32 = 32;
 /// Claims of directions nearer than this many steps are the same wire.
@@ -238,7 +240,7 @@ pub fn is_anchored(fit: &Fit, verdict: &Verdict, overrun_mm: f64) -> bool {
 
 /// Whether ends that are seen are where they should be, and all wire is there.
 fn fits(fit: &Fit, verdict: &Verdict) -> bool {
-    verdict.end_offset_px < 1.0 && verdict.missing.iter().all(|m| *m < 0.02) && fit.misfit < 1.5
+    verdict.end_offset_px < 1.0 && verdict.missing.iter().all(|m| *m < 0.02) && fit.misfit < MISFIT_MAX
 }
 
 /// How far wire goes on beyond an explanation that nobody has claimed, in mm.
@@ -248,12 +250,13 @@ pub fn unclaimed_overrun_mm(model: &PoseModel, verdict: &Verdict, claims: &[Clai
     })
 }
 
-/// Whether the length of a part is proved: nothing speaks against it, or each free end is seen in a picture, or it is
-/// bent, so that it cannot have slid along itself.
+/// Whether a part is proved to lie there: the pictures do not contradict its pose, and it cannot have slid along itself, for
+/// nothing speaks against it, or each free end is seen in a picture, or it is bent.
 pub fn is_proven(model: &PoseModel, fit: &Fit, verdict: &Verdict) -> bool {
-    model.straight_along.is_none()
+    let is_held = model.straight_along.is_none()
         || verdict.ends_shown as usize == model.ends.len()
-        || is_sound(fit, verdict, verdict.overrun_mm)
+        || is_sound(fit, verdict, verdict.overrun_mm);
+    is_held && fit.misfit < MISFIT_MAX
 }
 
 /// What an explanation is worth, in mm of wire.
@@ -364,6 +367,21 @@ mod tests {
         assert_eq!(left_mm(&claims), (0.0, true));
         claims[1].clear();
         assert_eq!(left_mm(&claims), (2.0, false));
+    }
+
+    #[test]
+    fn a_bent_part_is_proven_where_the_pictures_do_not_contradict_it_and_a_rod_by_its_ends() {
+        let model = |name: &str| {
+            let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts").join(name);
+            PoseModel::new(&Part::read(file).unwrap())
+        };
+        let proven = |name: &str, misfit: f64, ends_shown: u32| {
+            let verdict = Verdict { ends_shown, ..Verdict::default() };
+            is_proven(&model(name), &Fit { misfit, ..Fit::default() }, &verdict)
+        };
+        assert!(proven("hook.toml", 1.2, 0) && !proven("hook.toml", 1.6, 2));
+        assert!(proven("rod-90.toml", 1.2, 2) && !proven("rod-90.toml", 1.2, 1));
+        assert!(!proven("rod-90.toml", 1.6, 2));
     }
 
     #[test]

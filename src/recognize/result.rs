@@ -142,7 +142,7 @@ pub struct FoundPart {
     pub iterations: u64,
     /// Whether nothing speaks against it, see [`crate::matching::select::is_sound`].
     pub sound: bool,
-    /// Whether its length is proved, see [`crate::matching::select::is_proven`]; if not it is not offered.
+    /// Whether its pose is proved, see [`crate::matching::select::is_proven`]; if not it is not offered.
     pub proven: bool,
     /// Share of its length that is seen with both outlines, the lesser of both pictures.
     pub clear: f64,
