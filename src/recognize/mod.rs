@@ -161,7 +161,7 @@ impl Recognizer {
         self.explanations.clear(self.pictures.each_ref().map(Picture::nodes));
         let looking = budget.share(LOOK_SHARE);
         let mut all_looked_at = self.explain(pair, looking);
-        if all_looked_at && !looking.is_over() && self.search_ends(looking, out) {
+        if all_looked_at && !looking.is_over() && self.search_ends(looking) {
             all_looked_at = self.explain(pair, looking);
         }
         if all_looked_at && !looking.is_over() && self.search_ridges(pair) {
@@ -245,8 +245,9 @@ impl Recognizer {
         pool.sort_unstable_by(|a, b| a.fitness.total_cmp(&b.fitness));
     }
 
-    /// Fills the pool with rough poses of bent parts that ends hold which no explanation has; says whether there are any.
-    fn search_ends(&mut self, budget: Budget, out: &mut Recognition) -> bool {
+    /// Fills the pool with rough poses of bent parts that ends hold which no explanation has; says whether there are any. As
+    /// what is looked at, they cost time, but no iterations.
+    fn search_ends(&mut self, budget: Budget) -> bool {
         let Self { pictures, rig, parts, search, pool, params, explanations, .. } = self;
         let [left, right] = [pictures[0].nodes(), pictures[1].nodes()];
         let down = grasp::down_in_left(&params.grasp);
@@ -255,11 +256,9 @@ impl Recognizer {
             let judge = prepared.judge(rig, pictures, params);
             let may_lie = |pose: &Isometry3<f64>| !prepared.is_too_steep(pose, &down, params.slope_rad_max);
             for (n, node) in search.near_nodes().filter(|(_, node)| !explanations.has_end(node, prepared)) {
-                if budget.is_spent(out.iterations) {
-                    out.out_of_time = true;
+                if budget.is_over() {
                     break;
                 }
-                out.iterations += 1;
                 let images = [&left[node.left as usize], &right[node.right as usize]];
                 let single = SingleNode { index: n, node, images };
                 hypotheses::of_single_end(&params.single, index, &judge, &single, may_lie, pool);
