@@ -21,14 +21,15 @@ const LOST_COLUMNS_MIN: u32 = 8;
 /// ```
 /// use pickcell::vision::{bits::BitImage, thin::{Params, Thin, whole::WholeThin}};
 /// let mut mask = BitImage::new(64, 64);
-/// for i in 0..50 {
-///     (0..4).for_each(|k| mask.set(5 + i + k, 5 + i, true)); // a wire at 45 degrees
+/// for (x, y) in (5i32..55).flat_map(|y| (5..55).map(move |x| (x, y))) {
+///     // A wire at 45 degrees.
+///     mask.set(x as usize, y as usize, (-3..3).contains(&(x - y)) && (20..100).contains(&(x + y)));
 /// }
 /// let mut skeleton = mask.clone();
 /// Thin::new(Params::default(), 64, 64).run(&mask, &mut skeleton);
 /// assert!(skeleton.count() < 3);
 /// WholeThin::new(Params::default(), 64, 64).run(&mask, &mut skeleton);
-/// assert!(skeleton.count() > 45);
+/// assert!(skeleton.count() > 30);
 /// ```
 #[derive(Clone, Debug)]
 pub struct WholeThin {
