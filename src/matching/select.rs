@@ -282,9 +282,12 @@ pub fn worth(
     claims: &[ClaimMap; 2],
 ) -> Worth {
     let missing = (verdict.missing[0] + verdict.missing[1]) / 2.0;
+    // Of what leaves no doubt some may have been too dim for the mask.
+    let is_hollow = verdict.solid[0].min(verdict.solid[1]) < params.solid_min
+        && !is_certain(fit, verdict, model.ends.len());
     if missing > params.missing_max
         || verdict.clear[0] + verdict.clear[1] < 2.0 * params.both_sides_min
-        || verdict.solid[0].min(verdict.solid[1]) < params.solid_min
+        || is_hollow
         || verdict.offset_px > params.offset_px_max
         || verdict.end_offset_px > params.end_offset_px_max
     {
@@ -367,6 +370,28 @@ mod tests {
         assert_eq!(left_mm(&claims), (0.0, true));
         claims[1].clear();
         assert_eq!(left_mm(&claims), (2.0, false));
+    }
+
+    #[test]
+    fn what_the_mask_does_not_have_counts_where_there_is_doubt() {
+        let part =
+            Part::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts/rod-90.toml")).unwrap();
+        let model = PoseModel::new(&part);
+        let claims = [ClaimMap::new(100, 100), ClaimMap::new(100, 100)];
+        let worth_mm = |solid: f64, ends_seen: u32| {
+            let verdict = Verdict {
+                pieces: vec![[piece(50.0, 50.0, [0.0, 1.0]); 2]; model.stations.len()],
+                clear: [0.9; 2],
+                solid: [solid; 2],
+                ends_seen,
+                ends_shown: 2,
+                ..Verdict::default()
+            };
+            worth(&Params::default(), &model, &Fit::default(), &verdict, &claims).now_mm
+        };
+        assert!(worth_mm(0.9, 4) > 80.0 && worth_mm(0.9, 3) > 80.0);
+        assert!(worth_mm(0.8, 4) > 80.0);
+        assert_eq!(worth_mm(0.8, 3), f64::NEG_INFINITY);
     }
 
     #[test]
