@@ -7,7 +7,7 @@ use pickcell::vision::binarize::{self, Binarize, ColourRange};
 use pickcell::vision::bits::BitImage;
 use pickcell::vision::graph::{self, Graph, Graphs};
 use pickcell::vision::level::Level;
-use pickcell::vision::thin::{self, Algorithm, Thin};
+use pickcell::vision::thin::{self, Algorithm, Thin, whole::WholeThin};
 use std::sync::mpsc::{Receiver, RecvError, SyncSender, TryRecvError, sync_channel};
 use std::thread::JoinHandle;
 
@@ -18,6 +18,7 @@ pub const COLOUR: ColourRange = ColourRange::Rgb { min: [100; 3], max: [255; 3] 
 pub struct Eye {
     pub binarize: Binarize,
     pub thin: Thin,
+    pub whole_thin: WholeThin,
     pub graphs: Graphs,
     pub mask: BitImage,
     pub skeleton: BitImage,
@@ -30,6 +31,7 @@ impl Eye {
         Self {
             binarize: Binarize::with_level(colours, width, height, level).expect("good parameters"),
             thin: Thin::with_level(thin::Params { algorithm }, width, height, level),
+            whole_thin: WholeThin::with_level(thin::Params { algorithm }, width, height, level),
             graphs: Graphs::with_level(graph::Params::for_size(width, height), width, height, level),
             mask: BitImage::new(width, height),
             skeleton: BitImage::new(width, height),
@@ -49,10 +51,10 @@ impl Eye {
         self.graphs.run(&self.skeleton, &self.mask, Some(frame), &mut self.graph).expect("within the limits");
     }
 
-    /// Frame to graph.
+    /// Frame to graph, as a recogniser does it.
     pub fn run(&mut self, frame: &Frame) {
         self.binarize(frame);
-        self.thin();
+        self.whole_thin.run(&self.mask, &mut self.skeleton);
         self.graph(frame);
     }
 }

@@ -6,6 +6,7 @@
 
 use super::{Algorithm, Params, Thin};
 use crate::vision::bits::BitImage;
+use crate::vision::level::Level;
 
 /// Rows of a block.
 const BLOCK_ROWS: usize = 8;
@@ -31,7 +32,7 @@ const LOST_COLUMNS_MIN: u32 = 8;
 /// WholeThin::new(Params::default(), 64, 64).run(&mask, &mut skeleton);
 /// assert!(skeleton.count() > 30);
 /// ```
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct WholeThin {
     thin: Thin,
     /// Where the first is Zhang and Suen's.
@@ -40,7 +41,7 @@ pub struct WholeThin {
 }
 
 /// Guo and Hall's thinning, and what is taken of it.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 struct Instead {
     thin: Thin,
     skeleton: BitImage,
@@ -50,17 +51,26 @@ struct Instead {
 }
 
 impl WholeThin {
-    /// A workspace for pictures of `width` x `height` pixels; reserves all memory.
+    /// A workspace for pictures of `width` x `height` pixels, with the best instructions of this machine; reserves all
+    /// memory.
     pub fn new(params: Params, width: usize, height: usize) -> Self {
+        Self::with_level(params, width, height, Level::detect())
+    }
+
+    /// A workspace that uses other instructions; the result is the same.
+    ///
+    /// # Panics
+    /// Where the machine has not got them.
+    pub fn with_level(params: Params, width: usize, height: usize, level: Level) -> Self {
         let most = 4 * (width + height);
         let instead = || Instead {
-            thin: Thin::new(Params { algorithm: Algorithm::GuoHall }, width, height),
+            thin: Thin::with_level(Params { algorithm: Algorithm::GuoHall }, width, height, level),
             skeleton: BitImage::new(width, height),
             open: Vec::with_capacity(8 * most),
             taken: Vec::with_capacity(most),
         };
         Self {
-            thin: Thin::new(params, width, height),
+            thin: Thin::with_level(params, width, height, level),
             instead: (params.algorithm == Algorithm::ZhangSuen).then(instead),
             blocks: Blocks::new(width, height),
         }
@@ -124,7 +134,7 @@ impl Instead {
 }
 
 /// Where there is skeleton, a word for each strip and block of rows, strip by strip.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 struct Blocks {
     blocks: usize,
     skeleton: Vec<u64>,
