@@ -7,6 +7,7 @@
 
 use std::f64::consts::TAU;
 
+use arrayvec::ArrayVec;
 use nalgebra::{Isometry3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 
 use super::fitness::{Judge, StereoMatch, UNMATCHED};
@@ -146,9 +147,7 @@ pub fn of_single_node(
     pool: &mut Vec<Hypothesis>,
 ) {
     let node = single.node;
-    let mut legs = [SpaceLeg { direction: Vector3::zeros(), towards: None }; SPACE_LEGS_MAX];
-    let count = space_legs(params, judge.rig, node, single.images, &mut legs);
-    let legs = &legs[..count];
+    let legs = space_legs(params, judge.rig, node, single.images);
     for (a, anchor) in judge.model.anchors.iter().enumerate() {
         if anchor.is_repeated || !super::fitness::may_be(anchor.role, node.role) {
             continue;
@@ -160,11 +159,11 @@ pub fn of_single_node(
             Some(())
         };
         if judge.model.straight {
-            for leg in legs {
+            for leg in &legs {
                 try_at(&[(anchor.legs[0].0, leg.direction)]);
             }
         } else {
-            for_leg_pairs(params, anchor, legs, |pairs| try_at(pairs).is_some());
+            for_leg_pairs(params, anchor, &legs, |pairs| try_at(pairs).is_some());
         }
     }
 }
@@ -183,14 +182,13 @@ pub fn of_single_end(
     if node.role != NodeRole::End || judge.model.straight {
         return;
     }
-    let mut legs = [SpaceLeg { direction: Vector3::zeros(), towards: None }; SPACE_LEGS_MAX];
-    let count = space_legs(params, judge.rig, node, single.images, &mut legs);
+    let legs = space_legs(params, judge.rig, node, single.images);
     for (a, anchor) in judge.model.anchors.iter().enumerate() {
         let [(along, _)] = anchor.legs[..] else { continue };
         if anchor.is_repeated {
             continue;
         }
-        for leg in &legs[..count] {
+        for leg in &legs {
             let Some(start) =
                 motion_of_directions(&anchor.position_mm, &node.point_mm, &[(along, leg.direction)])
             else {
@@ -273,30 +271,15 @@ fn space_legs(
     rig: &Rig,
     node: &StereoNode,
     [left, right]: [&ImageNode; 2],
-    legs: &mut [SpaceLeg; SPACE_LEGS_MAX],
-) -> usize {
-    let mut count = 0;
-    for l in left.legs() {
-        for r in right.legs() {
-            if count == SPACE_LEGS_MAX {
-                return count;
-            }
-            if l.direction_px.dot(&r.direction_px) < 0.86 {
-                continue;
-            }
-            let held = leg_direction(rig, l, r).filter(|(_, hold)| *hold >= params.hold_min).map(|(d, _)| d);
-            let leg = match held {
-                Some(direction) => Some(SpaceLeg { direction, towards: None }),
-                None => level_direction(node, l)
-                    .map(|direction| SpaceLeg { direction, towards: Some(l.far_ray.push(1.0)) }),
-            };
-            if let Some(leg) = leg {
-                legs[count] = leg;
-                count += 1;
-            }
-        }
-    }
-    count
+) -> ArrayVec<SpaceLeg, SPACE_LEGS_MAX> {
+    let pairs = left.legs().iter().flat_map(|l| right.legs().iter().map(move |r| (l, r)));
+    let alike = pairs.filter(|(l, r)| l.direction_px.dot(&r.direction_px) >= 0.86);
+    let legs = alike.filter_map(|(l, r)| match leg_direction(rig, l, r) {
+        Some((direction, hold)) if hold >= params.hold_min => Some(SpaceLeg { direction, towards: None }),
+        _ => level_direction(node, l)
+            .map(|direction| SpaceLeg { direction, towards: Some(l.far_ray.push(1.0)) }),
+    });
+    legs.take(SPACE_LEGS_MAX).collect()
 }
 
 /// The direction of a leg that lies at the depth of its node.
