@@ -45,7 +45,9 @@ impl Cell {
     }
 
     fn command(&self, args: &[&str]) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_pickcell"));
+        // The tests may run under nohup, which a program would heed.
+        let mut command = Command::new("env");
+        command.args(["--default-signal=HUP", env!("CARGO_BIN_EXE_pickcell")]);
         command.arg("run").args(args).current_dir(self.folder.path()).env_remove("NOTIFY_SOCKET");
         command
     }

@@ -17,9 +17,10 @@ struct Running(Child);
 
 impl Running {
     fn start(arguments: &[&str]) -> Self {
-        let mut process = Process::new(env!("CARGO_BIN_EXE_firmware-bridge"));
-        process.args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped());
-        Self(process.spawn().unwrap())
+        // The tests may run under nohup, which a program would heed.
+        let mut process = Process::new("env");
+        process.args(["--default-signal=HUP", env!("CARGO_BIN_EXE_firmware-bridge")]).args(arguments);
+        Self(process.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap())
     }
 
     fn terminate(&mut self) -> Option<i32> {
