@@ -12,6 +12,9 @@ use crate::vision::level::Level;
 const BLOCK_ROWS: usize = 8;
 /// Columns to both sides of a skeleton, in its block of rows and those above and below it, that it is the skeleton of.
 const NEAR_COLUMNS: u32 = 11;
+/// Rows above and below a block whose mask is thinned with it: a line goes on into the next block, which has skeleton in it
+/// or in the one beyond; one more block keeps the cut away.
+const AROUND_ROWS: usize = 3 * BLOCK_ROWS;
 /// Shifts by which a bit is spread over so many columns to one side.
 const SPREAD: [u32; 4] = [1, 2, 4, NEAR_COLUMNS - 7];
 /// So many columns of a block with object pixels far from all skeleton are a lost wire.
@@ -43,6 +46,8 @@ pub struct WholeThin {
 /// Guo and Hall's thinning, and what is taken of it.
 #[derive(Debug)]
 struct Instead {
+    /// The mask about what is lost, as far as that can be from all skeleton.
+    part: BitImage,
     thin: Thin,
     skeleton: BitImage,
     /// Pixels to be looked at.
@@ -64,6 +69,7 @@ impl WholeThin {
     pub fn with_level(params: Params, width: usize, height: usize, level: Level) -> Self {
         let most = 4 * (width + height);
         let instead = || Instead {
+            part: BitImage::new(width, height),
             thin: Thin::with_level(Params { algorithm: Algorithm::GuoHall }, width, height, level),
             skeleton: BitImage::new(width, height),
             open: Vec::with_capacity(8 * most),
@@ -87,7 +93,9 @@ impl WholeThin {
         let mut lost = 0;
         blocks.for_lost(mask, |_, _, columns| lost += columns.count_ones());
         if lost >= LOST_COLUMNS_MIN {
-            instead.thin.run(mask, &mut instead.skeleton);
+            instead.part.clear();
+            blocks.for_lost(mask, |strip, block, _| instead.copy_around(strip, block, mask));
+            instead.thin.run(&instead.part, &mut instead.skeleton);
             instead.taken.clear();
             blocks.for_lost(mask, |strip, block, columns| instead.take(strip, block, columns, skeleton));
             for [x, y] in &instead.taken {
@@ -98,6 +106,15 @@ impl WholeThin {
 }
 
 impl Instead {
+    /// Copies the mask about a block of rows of a strip.
+    fn copy_around(&mut self, strip: usize, block: usize, mask: &BitImage) {
+        let first = (block * BLOCK_ROWS).saturating_sub(AROUND_ROWS);
+        let rows = first..((block + 1) * BLOCK_ROWS + AROUND_ROWS).min(mask.height());
+        for strip in strip.saturating_sub(1)..(strip + 2).min(mask.strips()) {
+            self.part.strip_mut(strip)[rows.clone()].copy_from_slice(&mask.strip(strip)[rows.clone()]);
+        }
+    }
+
     /// Takes the lines that begin in these columns of a block of rows, up to where they meet `skeleton`.
     fn take(&mut self, strip: usize, block: usize, columns: u64, skeleton: &BitImage) {
         for y in block * BLOCK_ROWS..((block + 1) * BLOCK_ROWS).min(skeleton.height()) {
