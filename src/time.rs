@@ -122,6 +122,21 @@ pub enum Budget {
     Until(Timestamp),
     /// This many iterations (improvisations of Harmony Search, steps of the exhaustive search).
     Iterations(u64),
+    /// What a recognition had that is made once more.
+    Repeated(Spent),
+}
+
+/// What a recognition used up: a repetition stops where time had stopped it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Spent {
+    /// Iterations of its searches.
+    pub iterations: u64,
+    /// Where the looks at what the searches had found were stopped: [`Watch::rang_after`].
+    pub looks: Option<u64>,
+    /// The same of the competition's exchanges.
+    pub exchanges: Option<u64>,
+    /// Time was over before the grasps were decided.
+    pub late: bool,
 }
 
 impl Budget {
@@ -132,7 +147,7 @@ impl Budget {
     #[inline]
     pub fn is_spent(&self, used: u64) -> bool {
         match *self {
-            Budget::Iterations(n) => used >= n,
+            Budget::Iterations(n) | Budget::Repeated(Spent { iterations: n, .. }) => used >= n,
             Budget::Until(end) => used.is_multiple_of(Self::CLOCK_STRIDE) && Timestamp::now() >= end,
         }
     }
@@ -142,6 +157,30 @@ impl Budget {
         matches!(*self, Budget::Until(end) if Timestamp::now() >= end)
     }
 
+    /// Whether its moment has come, or had when the recognition was made first.
+    pub fn is_late(&self) -> bool {
+        self.is_over() || matches!(*self, Budget::Repeated(Spent { late: true, .. }))
+    }
+
+    /// Watches over the looks at what the searches have found, for this share of the time that is left.
+    pub fn looks(self, share: f64) -> Watch {
+        self.watch(share, |spent| spent.looks)
+    }
+
+    /// Watches over the competition's exchanges, for this share of the time that is left.
+    pub fn exchanges(self, share: f64) -> Watch {
+        self.watch(share, |spent| spent.exchanges)
+    }
+
+    fn watch(self, share: f64, rang_after: impl Fn(&Spent) -> Option<u64>) -> Watch {
+        let rings = match self.share(share) {
+            Budget::Until(end) => Rings::At(end),
+            Budget::Iterations(_) => Rings::Never,
+            Budget::Repeated(spent) => rang_after(&spent).map_or(Rings::Never, Rings::After),
+        };
+        Watch { rings, asked: 0, rang: false }
+    }
+
     /// This share of the time that is left, 0 to 1; a count of iterations stays.
     pub fn share(self, share: f64) -> Budget {
         match self {
@@ -149,7 +188,7 @@ impl Budget {
                 let now = Timestamp::now();
                 Budget::Until(Timestamp(now.0 + (end.since(now) as f64 * share) as i64))
             }
-            iterations => iterations,
+            counted => counted,
         }
     }
 
@@ -157,8 +196,44 @@ impl Budget {
     pub fn less(self, used: u64) -> Budget {
         match self {
             Budget::Iterations(n) => Budget::Iterations(n.saturating_sub(used)),
+            Budget::Repeated(spent) => {
+                Budget::Repeated(Spent { iterations: spent.iterations.saturating_sub(used), ..spent })
+            }
             until => until,
         }
+    }
+}
+
+/// Is asked now and then whether time is over, and knows how often it was not.
+#[derive(Clone, Copy, Debug)]
+pub struct Watch {
+    rings: Rings,
+    asked: u64,
+    rang: bool,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Rings {
+    At(Timestamp),
+    After(u64),
+    Never,
+}
+
+impl Watch {
+    /// Whether time is over.
+    pub fn is_over(&mut self) -> bool {
+        self.rang |= match self.rings {
+            Rings::At(end) => Timestamp::now() >= end,
+            Rings::After(asked) => self.asked >= asked,
+            Rings::Never => false,
+        };
+        self.asked += u64::from(!self.rang);
+        self.rang
+    }
+
+    /// After how many questions it was over; `None` where it never was.
+    pub fn rang_after(&self) -> Option<u64> {
+        self.rang.then_some(self.asked)
     }
 }
 
@@ -208,6 +283,19 @@ mod tests {
         assert!(!Budget::Iterations(3).is_spent(2));
         assert!(Budget::Iterations(3).is_spent(3));
         assert_eq!(Budget::Iterations(3).less(5), Budget::Iterations(0));
+    }
+
+    #[test]
+    fn a_repetition_is_over_where_it_was_over_the_first_time() {
+        let mut first = Budget::Until(Timestamp::now().after(Duration::from_millis(2))).looks(0.5);
+        let asked = (0u64..).find(|_| first.is_over());
+        assert!(first.is_over() && first.rang_after() == asked && asked.is_some());
+        let spent = Spent { iterations: 7, looks: first.rang_after(), ..Spent::default() };
+        let mut again = Budget::Repeated(spent).looks(0.5);
+        assert_eq!((0u64..).find(|_| again.is_over()), asked);
+        let mut endless = Budget::Repeated(spent).exchanges(0.5);
+        assert!((0..1000).all(|_| !endless.is_over()) && endless.rang_after().is_none());
+        assert!(Budget::Repeated(spent).is_spent(7) && !Budget::Repeated(spent).is_late());
     }
 
     #[test]

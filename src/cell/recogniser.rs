@@ -28,7 +28,7 @@ fn found(file: &File, in_base: bool) -> Found {
     let recognition = &file.recognition;
     let mut found = Found {
         parts: u16::try_from(recognition.parts.len()).unwrap_or(u16::MAX),
-        iterations: recognition.iterations,
+        iterations: recognition.spent.iterations,
         nothing: recognition.no_pick.map(|reason| match reason {
             NoPick::BinEmpty => Nothing::BinEmpty,
             NoPick::NothingRecognised => Nothing::NothingRecognised,

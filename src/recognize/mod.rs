@@ -48,7 +48,7 @@ use crate::matching::search::Search;
 use crate::part::Part;
 use crate::picture::Picture;
 use crate::rig::Rig;
-use crate::time::{Budget, Timestamp};
+use crate::time::{Budget, Timestamp, Watch};
 use crate::vision::binarize;
 use crate::vision::ridge::{self, Ridges};
 
@@ -159,7 +159,7 @@ impl Recognizer {
         self.search(budget.share(SEARCH_SHARE), seed, out);
         let matched = Timestamp::now();
         self.explanations.clear(self.pictures.each_ref().map(Picture::nodes));
-        let looking = budget.share(LOOK_SHARE);
+        let looking = &mut budget.looks(LOOK_SHARE);
         let mut all_looked_at = self.explain(pair, looking);
         if all_looked_at && !looking.is_over() && self.search_ends(looking) {
             all_looked_at = self.explain(pair, looking);
@@ -168,10 +168,13 @@ impl Recognizer {
             all_looked_at = self.explain(pair, looking);
         }
         all_looked_at &= !looking.is_over();
-        let in_time = self.compete(pair, budget, out) && all_looked_at;
+        let exchanging = &mut budget.exchanges(COMPETE_SHARE);
+        let in_time = self.compete(pair, exchanging, out) && all_looked_at;
+        (out.spent.looks, out.spent.exchanges) = (looking.rang_after(), exchanging.rang_after());
         out.out_of_time |= !in_time;
         self.grasp(in_time, out);
-        if budget.is_over() {
+        out.spent.late = budget.is_late();
+        if out.spent.late {
             out.out_of_time = true;
             for found in &mut out.parts {
                 found.blocked.get_or_insert(Blocked::OutOfTime);
@@ -214,21 +217,21 @@ impl Recognizer {
         let judge_of = |part: usize| parts[part].judge(rig, pictures, params);
         search.begin(rig, left, right, thickness_mm);
         search.run_exact(judge_of, budget);
-        (out.iterations, out.out_of_time) = (search.iterations(), search.is_out_of_time());
+        (out.spent.iterations, out.out_of_time) = (search.iterations(), search.is_out_of_time());
         for index in 0..parts.len() {
             let judge = judge_of(index);
             for (n, node) in search.near_nodes() {
-                if budget.is_spent(out.iterations) {
+                if budget.is_spent(out.spent.iterations) {
                     out.out_of_time = true;
                     break;
                 }
-                out.iterations += 1;
+                out.spent.iterations += 1;
                 let images = [&left[node.left as usize], &right[node.right as usize]];
                 let single = SingleNode { index: n, node, images };
                 hypotheses::of_single_node(&params.single, index, &judge, &single, pool);
             }
         }
-        search.run_by_chance(rig, [left, right], judge_of, budget, &mut out.iterations, seed);
+        search.run_by_chance(rig, [left, right], judge_of, budget, &mut out.spent.iterations, seed);
         out.out_of_time |= search.is_out_of_time();
         let matches: usize = (0..parts.len()).map(|p| search.matches(p).len()).sum();
         pool.truncate(HYPOTHESES_MAX.saturating_sub(matches));
@@ -247,7 +250,7 @@ impl Recognizer {
 
     /// Fills the pool with rough poses of bent parts that ends hold which no explanation has; says whether there are any. As
     /// what is looked at, they cost time, but no iterations.
-    fn search_ends(&mut self, budget: Budget) -> bool {
+    fn search_ends(&mut self, looking: &mut Watch) -> bool {
         let Self { pictures, rig, parts, search, pool, params, explanations, .. } = self;
         let [left, right] = [pictures[0].nodes(), pictures[1].nodes()];
         let down = grasp::down_in_left(&params.grasp);
@@ -256,7 +259,7 @@ impl Recognizer {
             let judge = prepared.judge(rig, pictures, params);
             let may_lie = |pose: &Isometry3<f64>| !prepared.is_too_steep(pose, &down, params.slope_rad_max);
             for (n, node) in search.near_nodes().filter(|(_, node)| !explanations.has_end(node, prepared)) {
-                if budget.is_over() {
+                if looking.is_over() {
                     break;
                 }
                 let images = [&left[node.left as usize], &right[node.right as usize]];
@@ -326,7 +329,7 @@ impl Recognizer {
     }
 
     /// Holds the pool's hypotheses against both pictures; says whether all of them.
-    fn explain(&mut self, pair: &FramePair, budget: Budget) -> bool {
+    fn explain(&mut self, pair: &FramePair, looking: &mut Watch) -> bool {
         let Some(views) = views(&self.pictures, &self.rig, pair, &self.params) else { return true };
         let scene = Scene {
             parts: &self.parts,
@@ -336,21 +339,20 @@ impl Recognizer {
             down: grasp::down_in_left(&self.params.grasp),
             slope_rad_max: self.params.slope_rad_max,
         };
-        self.explanations.explain(&scene, &self.pool, budget)
+        self.explanations.explain(&scene, &self.pool, looking)
     }
 
     /// Lets the explanations compete; those that stand are the parts. Says whether there was time for it.
-    fn compete(&mut self, pair: &FramePair, budget: Budget, out: &mut Recognition) -> bool {
+    fn compete(&mut self, pair: &FramePair, exchanging: &mut Watch, out: &mut Recognition) -> bool {
         let Self { explanations, parts, rig, pictures, params, .. } = self;
         let Some(views) = views(pictures, rig, pair, params) else { return true };
         let shading = explanations.shading();
-        let in_time =
-            explanations.decide(parts, &params.select, &views, budget.share(COMPETE_SHARE), PARTS_MAX);
+        let in_time = explanations.decide(parts, &params.select, &views, exchanging, PARTS_MAX);
         explanations.press_apart(parts, &grasp::down_in_left(&params.grasp), &views);
         let standing = explanations.standing();
         out.parts.extend(standing.map(|explanation| {
             let prepared = &parts[explanation.hypothesis.part];
-            found(params, rig, pictures, prepared, explanation, &shading, &views, out.iterations)
+            found(params, rig, pictures, prepared, explanation, &shading, &views, out.spent.iterations)
         }));
         in_time
     }

@@ -5,6 +5,7 @@ use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 
 use crate::grasp::{Blocked, Grasp};
 use crate::part::NODES_MAX;
+use crate::time::Spent;
 use crate::vision::{binarize, graph};
 
 /// Most parts of a pair.
@@ -197,8 +198,8 @@ pub struct Recognition {
     pub nodes_right: usize,
     /// The random seed that was used.
     pub seed: u64,
-    /// Iterations of all searches.
-    pub iterations: u64,
+    /// What of the budget was used up.
+    pub spent: Spent,
     /// Whether the budget was spent before the search was through.
     pub out_of_time: bool,
     /// How long each stage took.

@@ -68,7 +68,8 @@ impl Topic {
 const PAIR_SCHEMA: &str = r#"{"title":"pickcell.Pair","type":"object","properties":{
 "number":{"type":"integer"},"name":{"type":"string"},
 "stamps_ns":{"type":"array","items":{"type":"integer"}},"sequences":{"type":"array","items":{"type":"integer"}},
-"marks":{"type":"array","items":{"type":"string"}},"pictures":{"type":"boolean"},"seed":{"type":"integer"},"iterations":{"type":"integer"},"out_of_time":{"type":"boolean"},"parts":{"type":"integer"},
+"marks":{"type":"array","items":{"type":"string"}},"pictures":{"type":"boolean"},"seed":{"type":"integer"},"iterations":{"type":"integer"},"out_of_time":{"type":"boolean"},
+"looks":{"type":"integer"},"exchanges":{"type":"integer"},"late":{"type":"boolean"},"parts":{"type":"integer"},
 "candidates":{"type":"array","items":{"type":"object","properties":{"part":{"type":"string"},
 "fitness":{"type":"number"},"position_mm":{"type":"array","items":{"type":"number"}},
 "orientation_xyzw":{"type":"array","items":{"type":"number"}},"opening_mm":{"type":"number"}}}},
@@ -105,6 +106,15 @@ pub struct PairRecord {
     /// Its time was over before the recognition was through.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub out_of_time: bool,
+    /// Where its time was over while it looked at what the search had found.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub looks: Option<u64>,
+    /// Where its time was over while parts were exchanged for others.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub exchanges: Option<u64>,
+    /// Its time was over before the grasps were decided.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub late: bool,
     /// Parts recognised.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub parts: Option<usize>,

@@ -28,6 +28,7 @@ pub use records::{Damage, MessageAt, MessageError, RecordingError, RecordingFile
 pub use writer::{About, PAIR_WINDOW, RecordingWriter, WriteError};
 
 use crate::frame::{ColourEncoding, Frame, TimestampMark};
+use crate::time::Spent;
 use events::PairRecord;
 use firmware_bridge::link::Said;
 use foxglove::ImageKind;
@@ -133,8 +134,8 @@ pub enum Fate {
 pub struct RecordedSearch {
     /// Its seed.
     pub seed: u64,
-    /// Iterations that it used up.
-    pub iterations: u64,
+    /// What it used up.
+    pub spent: Spent,
     /// It was stopped there, and would have gone on.
     pub out_of_time: bool,
 }

@@ -15,6 +15,7 @@ use super::writer::{METADATA, PAIR_WINDOW};
 use super::{Fate, RecordedPair, RecordedPicture, RecordedSearch, Results, Session};
 use crate::camera::Side;
 use crate::frame::{ColourEncoding, TimestampMark};
+use crate::time::Spent;
 
 /// Pairs a second, where a recording has one pair only.
 const RATE_HZ: f64 = 30.0;
@@ -251,8 +252,8 @@ impl Index {
 /// What the cell did with a pair that it was finished with at `at_ns`.
 fn fate(pair: &PairRecord, at_ns: i64) -> Fate {
     let search = pair.seed.zip(pair.iterations).map(|(seed, iterations)| {
-        let out_of_time = pair.out_of_time;
-        RecordedSearch { seed, iterations, out_of_time }
+        let &PairRecord { looks, exchanges, late, out_of_time, .. } = pair;
+        RecordedSearch { seed, spent: Spent { iterations, looks, exchanges, late }, out_of_time }
     });
     if search.is_none() && pair.error.is_none() {
         return Fate::LeftOut;

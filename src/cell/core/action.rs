@@ -291,6 +291,12 @@ impl std::fmt::Display for Alarm {
             Alarm::OnHold { by } => {
                 write!(f, "arm on hold ({by:?}); release it with SIGUSR1 when it is safe to move")
             }
+            Alarm::Controller { code: 0 } => {
+                write!(
+                    f,
+                    "controller in an alarm it does not name; look at the arm, then release it with SIGUSR1"
+                )
+            }
             Alarm::Controller { code } => {
                 write!(f, "controller in alarm {code}; look at the arm, then release it with SIGUSR1")
             }

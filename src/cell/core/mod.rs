@@ -63,7 +63,7 @@ pub use state::State;
 use super::pairing::{FrameSeen, Handle, Pair, Pairing};
 use crate::camera::Side;
 use crate::frame::TimestampMark;
-use crate::time::{Budget, Timestamp};
+use crate::time::{Budget, Spent, Timestamp};
 use arm::ArmSide;
 use cameras::CameraState;
 use choose::Tried;
@@ -113,8 +113,8 @@ pub struct Params {
 /// A search that is made once more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Repeated {
-    /// Its budget.
-    pub iterations: u64,
+    /// What it may use up.
+    pub spent: Spent,
     /// Its seed.
     pub seed: u64,
 }
@@ -283,8 +283,11 @@ impl Core {
         self.searching = Some(pair);
         let until = pair.earliest().0.saturating_add(self.params.deadline_ns - self.params.wire_ns);
         let repeated = self.params.repeated.get(pair.left.sequence as usize).copied().flatten();
-        let iterations = repeated.map(|search| search.iterations).or(self.params.iterations);
-        let budget = iterations.map_or(Budget::Until(Timestamp(until)), Budget::Iterations);
+        let budget = match (repeated, self.params.iterations) {
+            (Some(search), _) => Budget::Repeated(search.spent),
+            (None, Some(iterations)) => Budget::Iterations(iterations),
+            (None, None) => Budget::Until(Timestamp(until)),
+        };
         let seed = repeated.map_or(self.params.seed.wrapping_add(pair.number), |search| search.seed);
         actions.push(Action::Recognise(Job { pair, budget, seed }));
     }

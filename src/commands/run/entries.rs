@@ -11,7 +11,7 @@ use crate::session::events::{
     CandidateRecord, CommandRecord, EventRecord, Level, PairRecord, ReportRecord, Topic,
 };
 use crate::session::{About, PAIR_WINDOW, RecordingWriter, WriteError};
-use crate::time::{Timestamp, wall_from_cell_ns};
+use crate::time::{Spent, Timestamp, wall_from_cell_ns};
 
 /// What stands in front of it.
 pub(super) fn about(cell: &Cell, period: Duration) -> About {
@@ -64,7 +64,9 @@ pub(super) fn add_recognition(record: &mut PairRecord, file: &File, names: &[Str
     }
     let found = &file.recognition;
     record.seed = Some(found.seed);
-    record.iterations = Some(found.iterations);
+    let Spent { iterations, looks, exchanges, late } = found.spent;
+    record.iterations = Some(iterations);
+    (record.looks, record.exchanges, record.late) = (looks, exchanges, late);
     record.out_of_time = found.out_of_time;
     record.parts = Some(found.parts.len());
     let free = found.parts.iter().filter(|part| part.blocked.is_none());

@@ -242,11 +242,11 @@ fn replayed(args: &RunArgs, folder: &Path, fast: bool) -> Result<Eyes, RunError>
 fn repeated(pair: &RecordedPair) -> Option<Repeated> {
     let Some(Fate::Searched { search: Some(search), .. }) = pair.fate else { return None };
     // One that ended by itself ends by itself again, and shall not be taken for one that was stopped there.
-    let iterations = match search.out_of_time {
-        true => search.iterations,
-        false => search.iterations.saturating_mul(2).max(FAST_ITERATIONS),
-    };
-    Some(Repeated { iterations, seed: search.seed })
+    let mut spent = search.spent;
+    if !search.out_of_time {
+        spent.iterations = spent.iterations.saturating_mul(2).max(FAST_ITERATIONS);
+    }
+    Some(Repeated { spent, seed: search.seed })
 }
 
 /// When a pair was seen, and how long after that the cell had decided about it.

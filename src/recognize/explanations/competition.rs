@@ -11,7 +11,7 @@ use crate::pose::refine::View;
 use crate::pose::slide;
 use crate::pose::verify::verify;
 use crate::recognize::prepared::Prepared;
-use crate::time::Budget;
+use crate::time::Watch;
 
 /// How often one that stands is dropped for others, at most.
 const EXCHANGES_MAX: usize = 8;
@@ -57,10 +57,10 @@ impl Explanations {
         parts: &[Prepared],
         params: &select::Params,
         views: &[View; 2],
-        budget: Budget,
+        exchanging: &mut Watch,
         most: usize,
     ) -> bool {
-        let in_time = self.weigh(parts, params, budget);
+        let in_time = self.weigh(parts, params, exchanging);
         self.standing.truncate(most);
         for k in 0..self.standing.len() {
             self.centre(self.standing[k], parts, views);
@@ -119,7 +119,12 @@ impl Explanations {
 
     /// Decides which stand. What is worth most may take wire from two that together are worth more: those that leave doubt
     /// are dropped where the others then make more of the wire. Is time over, what stands stays; says whether it was not.
-    pub(super) fn weigh(&mut self, parts: &[Prepared], params: &select::Params, budget: Budget) -> bool {
+    pub(super) fn weigh(
+        &mut self,
+        parts: &[Prepared],
+        params: &select::Params,
+        exchanging: &mut Watch,
+    ) -> bool {
         if self.decided != Some(self.count) {
             self.compete(parts, params, |_, _| true);
         }
@@ -132,7 +137,7 @@ impl Explanations {
             let (mut is_changed, mut in_time) = (false, true);
             for k in 0..self.tried.len() {
                 let index = self.tried[k];
-                if budget.is_over() {
+                if exchanging.is_over() {
                     (best, in_time) = (None, false);
                     break;
                 }

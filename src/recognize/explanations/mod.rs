@@ -19,7 +19,7 @@ use crate::pose::refine::{self, Fit, Refine, View};
 use crate::pose::shading::Shading;
 use crate::pose::verify::{Verdict, verify};
 use crate::rig::Rig;
-use crate::time::Budget;
+use crate::time::Watch;
 
 /// Most explanations of a pair.
 const EXPLANATIONS_MAX: usize = 1024;
@@ -172,10 +172,10 @@ impl Explanations {
     /// Refines and judges hypotheses, each pose once; says whether there was time and room for all. Wire and ends that a certain
     /// explanation has are not explained again, unless by a longer part, of which it may be a piece; and poses that show no
     /// end are looked at last, where no sound explanation has their wire. A count of iterations is for the searches: what they find is always looked at.
-    pub(super) fn explain(&mut self, scene: &Scene, pool: &[Hypothesis], budget: Budget) -> bool {
+    pub(super) fn explain(&mut self, scene: &Scene, pool: &[Hypothesis], looking: &mut Watch) -> bool {
         self.endless.clear();
         for hypothesis in pool {
-            if budget.is_over() {
+            if looking.is_over() {
                 return false;
             }
             let prepared = &scene.parts[hypothesis.part];
@@ -198,7 +198,7 @@ impl Explanations {
         let endless = std::mem::take(&mut self.endless);
         let mut in_time = true;
         for (hypothesis, pose) in &endless {
-            in_time = !budget.is_over();
+            in_time = !looking.is_over();
             if !in_time {
                 break;
             }

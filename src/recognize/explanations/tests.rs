@@ -12,7 +12,7 @@ use crate::recognize::views::views;
 use crate::recognize::{Params, Recognition, Recognizer};
 use crate::rig::CameraModel;
 use crate::session::read_picture;
-use crate::time::Timestamp;
+use crate::time::{Budget, Timestamp};
 
 /// What a pair of the recorded session, ten rods over each other, made the recogniser know.
 fn after_a_pair() -> Recognizer {
@@ -63,13 +63,14 @@ fn the_competition_ends_as_if_every_worth_were_asked_again_each_time() {
     let Recognizer { mut explanations, parts, params, .. } = after_a_pair();
     let expected = compete_slowly(&mut explanations, &parts, &params.select);
     explanations.decided = None;
-    assert!(explanations.weigh(&parts, &params.select, Budget::Iterations(0)));
+    let whole = || Budget::Iterations(0).exchanges(1.0);
+    assert!(explanations.weigh(&parts, &params.select, &mut whole()));
     assert_eq!(explanations.standing, expected);
     // What is known already is not held again, and the same.
-    explanations.weigh(&parts, &params.select, Budget::Iterations(0));
+    explanations.weigh(&parts, &params.select, &mut whole());
     assert_eq!(explanations.standing, expected);
-    let over = Budget::Until(Timestamp(0));
-    assert!(!explanations.weigh(&parts, &params.select, over), "nothing was weighed");
+    let mut over = Budget::Until(Timestamp(0)).exchanges(1.0);
+    assert!(!explanations.weigh(&parts, &params.select, &mut over), "nothing was weighed");
     assert_eq!(explanations.standing, expected);
     assert_eq!(expected.len(), 10);
     assert!(explanations.count > 10, "others were refused");

@@ -1,0 +1,39 @@
+//! A recognition that ran out of time finds the same when it is made once more with what it used up.
+
+use std::path::Path;
+use std::time::Duration;
+
+use pickcell::frame::FramePair;
+use pickcell::part::Part;
+use pickcell::recognize::{Params, Recognition, Recognizer, StageTimes};
+use pickcell::rig::Rig;
+use pickcell::session::Session;
+use pickcell::time::{Budget, Timestamp};
+
+#[test]
+fn a_repetition_finds_what_was_found_when_time_was_over() {
+    let replay = Path::new(env!("CARGO_MANIFEST_DIR")).join("replay");
+    let rig = Rig::read(replay.join("conveyor/calibration.yaml")).unwrap();
+    let rod = Part::read(replay.join("parts/rod-90.toml")).unwrap();
+    let mut recognizer = Recognizer::new(Params::default(), rig, vec![rod]).unwrap();
+    let session = Session::open(&replay.join("conveyor")).unwrap();
+    let mut stopped = [0; 2];
+    for recorded in &session.pairs[..4] {
+        let [Some(left), Some(right)] = &recorded.pictures else { panic!("a whole pair") };
+        let pair = FramePair { left: left.read().unwrap(), right: right.read().unwrap() };
+        let mut found = Recognition::default();
+        recognizer.run(&pair, Budget::Iterations(1_000_000), 1, &mut found).unwrap();
+        let whole = Duration::from_nanos(found.stages.total_ns);
+        for tenths in 0..15 {
+            let until = Timestamp::now().after(whole * tenths / 10);
+            recognizer.run(&pair, Budget::Until(until), 1, &mut found).unwrap();
+            stopped[0] += usize::from(found.spent.looks.is_some());
+            stopped[1] += usize::from(found.spent.late);
+            let mut again = Recognition::default();
+            recognizer.run(&pair, Budget::Repeated(found.spent), 1, &mut again).unwrap();
+            let without_times = |r: &Recognition| Recognition { stages: StageTimes::default(), ..r.clone() };
+            assert_eq!(without_times(&again), without_times(&found), "{} {tenths}/10", recorded.name);
+        }
+    }
+    assert!(stopped[0] > stopped[1] && stopped[1] > 0, "{stopped:?}");
+}
