@@ -101,6 +101,8 @@ pub struct Driver<W> {
     /// Smallest and largest coordinate of the moves under way and of where they began, mm.
     room_mm: [Option<(f64, f64)>; 3],
     position_tries: u8,
+    /// It was last seen outside that room.
+    strayed: bool,
     deadline_ns: Option<i64>,
     session: u32,
     last_sequence: Option<u32>,
@@ -141,6 +143,7 @@ impl<W: Wire> Driver<W> {
             expected_mm: [None; 3],
             seen_mm: [None; 3],
             room_mm: [None; 3],
+            strayed: false,
             position_tries: 0,
             deadline_ns: None,
             session: session_seed,

@@ -141,6 +141,8 @@ pub(crate) trait Wire: Sized {
     fn close(&mut self);
     /// Bytes that came.
     fn on_bytes(&mut self, bytes: &[u8], now_ns: i64, events: &mut Events);
+    /// Where it passes is to be asked at once, where that is asked at all.
+    fn ask_again(&mut self, _now_ns: i64) {}
     /// Time-outs.
     fn on_time(&mut self, now_ns: i64, events: &mut Events);
     /// When `on_time` or `transmit` have something to do.

@@ -259,8 +259,14 @@ impl<W: Wire> Driver<W> {
             (Some(at), Some((low, high))) => at < low - ROOM_MM || at > high + ROOM_MM,
             _ => false,
         };
-        if self.moved && matches!(self.phase, Phase::Working | Phase::Starting) && (0..3).any(outside) {
+        let watched = self.moved && matches!(self.phase, Phase::Working | Phase::Starting);
+        if !watched || !(0..3).any(outside) {
+            self.strayed = false;
+        } else if core::mem::replace(&mut self.strayed, true) {
             self.begin_stop(Failure::Controller { code: CODE_ELSEWHERE }, HeldBy::Alarm, now_ns);
+        } else {
+            // One digit lost on the way here looks the same, but not twice.
+            self.wire.ask_again(now_ns);
         }
     }
 

@@ -94,6 +94,10 @@ impl Wire for GrblWire {
         events.garbage += self.incoming.take_garbage();
     }
 
+    fn ask_again(&mut self, now: i64) {
+        self.next_ask = now;
+    }
+
     fn on_time(&mut self, now: i64, events: &mut Events) {
         match self.chore {
             Chore::Closed => return,
