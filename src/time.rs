@@ -135,7 +135,7 @@ pub struct Spent {
     pub looks: Option<u64>,
     /// The same of the competition's exchanges.
     pub exchanges: Option<u64>,
-    /// Time was over before the grasps were decided.
+    /// Time was over when the grasps were decided.
     pub late: bool,
 }
 

@@ -22,8 +22,12 @@ fn a_repetition_finds_what_was_found_when_time_was_over() {
         let [Some(left), Some(right)] = &recorded.pictures else { panic!("a whole pair") };
         let pair = FramePair { left: left.read().unwrap(), right: right.read().unwrap() };
         let mut found = Recognition::default();
-        recognizer.run(&pair, Budget::Iterations(1_000_000), 1, &mut found).unwrap();
-        let whole = Duration::from_nanos(found.stages.total_ns);
+        let mut total_ns = || {
+            recognizer.run(&pair, Budget::Iterations(1_000_000), 1, &mut found).unwrap();
+            found.stages.total_ns
+        };
+        // The first time takes longer, and a busy machine may take longer any time.
+        let whole = Duration::from_nanos((0..3).map(|_| total_ns()).min().unwrap());
         for tenths in 0..15 {
             let until = Timestamp::now().after(whole * tenths / 10);
             recognizer.run(&pair, Budget::Until(until), 1, &mut found).unwrap();

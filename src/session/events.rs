@@ -112,7 +112,7 @@ pub struct PairRecord {
     /// Where its time was over while parts were exchanged for others.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub exchanges: Option<u64>,
-    /// Its time was over before the grasps were decided.
+    /// Its time was over when the grasps were decided.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub late: bool,
     /// Parts recognised.

@@ -33,6 +33,8 @@ const STOP_NS: i64 = 10_000 * MS;
 const POSITION_TRIES: u8 = 3;
 /// How far outside the room between its points an arm may be seen on its way, mm.
 const ROOM_MM: f64 = 2.0;
+/// How long it is asked again before it is taken to be outside.
+const STRAY_NS: i64 = 60 * MS;
 /// How many picks the engine remembers the outcome of.
 const HISTORY: usize = 32;
 /// Most lines on their way.
@@ -101,8 +103,8 @@ pub struct Driver<W> {
     /// Smallest and largest coordinate of the moves under way and of where they began, mm.
     room_mm: [Option<(f64, f64)>; 3],
     position_tries: u8,
-    /// It was last seen outside that room.
-    strayed: bool,
+    /// It was last seen outside that room, and is stopped then unless it is seen inside.
+    stray_until_ns: Option<i64>,
     deadline_ns: Option<i64>,
     session: u32,
     last_sequence: Option<u32>,
@@ -143,7 +145,7 @@ impl<W: Wire> Driver<W> {
             expected_mm: [None; 3],
             seen_mm: [None; 3],
             room_mm: [None; 3],
-            strayed: false,
+            stray_until_ns: None,
             position_tries: 0,
             deadline_ns: None,
             session: session_seed,
@@ -225,6 +227,9 @@ impl<W: Wire> Driver<W> {
         if self.phase != Phase::Down {
             self.wire.on_time(now_ns, &mut self.events);
             self.digest(now_ns);
+            if self.stray_until_ns.is_some_and(|at| now_ns >= at) {
+                self.stop_astray(now_ns);
+            }
             if self.deadline_ns.is_some_and(|at| now_ns >= at) {
                 self.deadline_ns = None;
                 self.out_of_time(now_ns);
@@ -267,7 +272,7 @@ impl<W: Wire> Driver<W> {
             Stage::WaitingUntil(at) => Some(at),
             _ => None,
         };
-        [self.wire.deadline_ns(), self.deadline_ns, wait].into_iter().flatten().min()
+        [self.wire.deadline_ns(), self.deadline_ns, self.stray_until_ns, wait].into_iter().flatten().min()
     }
 
     fn take_pick(&mut self, pick: Pick, now_ns: i64) -> Result<(), Refusal> {
@@ -353,15 +358,21 @@ impl<W: Wire> Driver<W> {
         self.list = list;
         self.next = 0;
         self.stage = Stage::Lines;
-        self.moved = false;
+        self.rest();
         self.position_tries = 0;
+    }
+
+    /// No move is under way.
+    fn rest(&mut self) {
+        self.moved = false;
+        self.stray_until_ns = None;
     }
 
     fn forget_lines(&mut self) {
         // A wait that was under way is over, too: nobody is to be woken for it.
         self.stage = Stage::Lines;
         self.flight.clear();
-        self.moved = false;
+        self.rest();
         self.deadline_ns = None;
         self.expected_mm = [None; 3];
         self.seen_mm = [None; 3];

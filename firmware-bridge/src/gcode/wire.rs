@@ -141,7 +141,7 @@ pub(crate) trait Wire: Sized {
     fn close(&mut self);
     /// Bytes that came.
     fn on_bytes(&mut self, bytes: &[u8], now_ns: i64, events: &mut Events);
-    /// Where it passes is to be asked at once, where that is asked at all.
+    /// Asks at once where the arm is on its way, if this wire asks that.
     fn ask_again(&mut self, _now_ns: i64) {}
     /// Time-outs.
     fn on_time(&mut self, now_ns: i64, events: &mut Events);

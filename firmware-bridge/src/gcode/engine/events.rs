@@ -130,6 +130,7 @@ impl<W: Wire> Driver<W> {
     /// Stops the arm; when that is confirmed the pick ends as `ending`.
     pub(super) fn begin_stop(&mut self, ending: Failure, by: HeldBy, now_ns: i64) {
         self.wire.stop(now_ns);
+        self.stray_until_ns = None;
         if self.phase == Phase::Connecting {
             return;
         }
@@ -221,7 +222,7 @@ impl<W: Wire> Driver<W> {
     /// The first move of a pick was lost on its way and is too old by now: nothing of it was begun.
     fn line_expired(&mut self, now_ns: i64) {
         self.flight.pop_front();
-        self.moved = false;
+        self.rest();
         self.expected_mm = self.seen_mm;
         let Some(current) = self.current.filter(|_| self.phase == Phase::Working) else { return };
         let ms = |ns: i64| u32::try_from(ns / MS).unwrap_or(u32::MAX);
@@ -238,10 +239,10 @@ impl<W: Wire> Driver<W> {
             if self.position_tries < POSITION_TRIES {
                 return self.wire.sync(now_ns);
             }
-            return self.begin_stop(Failure::Controller { code: CODE_ELSEWHERE }, HeldBy::Alarm, now_ns);
+            return self.stop_astray(now_ns);
         }
         self.position_tries = 0;
-        self.moved = false;
+        self.rest();
         self.seen_mm = position_mm;
         self.stage = Stage::Lines;
     }
@@ -261,13 +262,18 @@ impl<W: Wire> Driver<W> {
         };
         let watched = self.moved && matches!(self.phase, Phase::Working | Phase::Starting);
         if !watched || !(0..3).any(outside) {
-            self.strayed = false;
-        } else if core::mem::replace(&mut self.strayed, true) {
-            self.begin_stop(Failure::Controller { code: CODE_ELSEWHERE }, HeldBy::Alarm, now_ns);
+            self.stray_until_ns = None;
+        } else if self.stray_until_ns.is_some() {
+            self.stop_astray(now_ns);
         } else {
             // One digit lost on the way here looks the same, but not twice.
+            self.stray_until_ns = Some(now_ns + STRAY_NS);
             self.wire.ask_again(now_ns);
         }
+    }
+
+    pub(super) fn stop_astray(&mut self, now_ns: i64) {
+        self.begin_stop(Failure::Controller { code: CODE_ELSEWHERE }, HeldBy::Alarm, now_ns);
     }
 
     /// Seen at rest between picks: an arm that does not stand where it was left was moved, or restarted unheard.

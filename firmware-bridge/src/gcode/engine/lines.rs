@@ -2,11 +2,11 @@
 
 use super::super::line::LineBuf;
 use super::super::template::{List, Step};
-use super::super::wire::{About, CODE_ELSEWHERE, MS, Wire};
+use super::super::wire::{About, MS, Wire};
 use super::super::words::Kind;
 use super::{Driver, FLIGHT_MAX, Phase, Stage};
 use crate::dialect::Transmit;
-use crate::message::{Failure, HeldBy, Outcome, Pick, Refusal, Report, Waypoint};
+use crate::message::{Failure, Outcome, Pick, Refusal, Report, Waypoint};
 
 /// Number, checksum and end that a wire puts around a line, bytes.
 const FRAME_LEN: usize = 16;
@@ -116,7 +116,7 @@ impl<W: Wire> Driver<W> {
                 return Transmit::default();
             }
             Err(_) => {
-                self.begin_stop(Failure::Controller { code: CODE_ELSEWHERE }, HeldBy::Alarm, now_ns);
+                self.stop_astray(now_ns);
                 return self.own_bytes(now_ns, out);
             }
         };
