@@ -35,6 +35,8 @@ const POSITION_TRIES: u8 = 3;
 const ROOM_MM: f64 = 2.0;
 /// How long it is asked again before it is taken to be outside.
 const STRAY_NS: i64 = 60 * MS;
+/// Where an arm says that it stands and where it was sent are the same: a position has two decimals.
+const ARRIVED_MM: f64 = 0.02;
 /// How many picks the engine remembers the outcome of.
 const HISTORY: usize = 32;
 /// Most lines on their way.

@@ -347,7 +347,7 @@ impl GrblWire {
                 State::Idle | State::Held | State::Blocked => {
                     self.dirty = true;
                     self.chore = Chore::None;
-                    events.push(Event::Stopped);
+                    events.push(Event::Stopped([None; 3]));
                 }
                 _ => {}
             },

@@ -8,7 +8,13 @@
 //! question whose answer has not come. M410 and M112 are sent without a number, because only then Marlin looks at
 //! them before its queue; as one line at a time is on its way, the queue is never full and is read even while a
 //! command waits. After M410 it answers nothing for a second (planner.cpp, `cleaning_buffer_counter`); whoever does
-//! has not taken it.
+//! has not taken it. An arm whose firmware cuts its moves into pieces goes on with the next piece in version 1.1
+//! (`prepare_kinematic_move_to`), and answers nothing before the end of the move: it gets M112.
+//!
+//! A build without `HOST_KEEPALIVE_FEATURE` says nothing while a command waits, for as long as that takes. A line that
+//! it has is refused at once when it comes a second time, which shows that the link and the controller live; whether the line
+//! is done shows the answer to an M114 behind it. No more than two of these are ever in its queue, which holds four
+//! commands and is not read when it is full.
 //!
 //! Which number comes next Marlin says itself, in `Resend:`; a line of the wire's own takes that number. (M110 would set
 //! it once more when it is worked on, behind lines that were read meanwhile, and its `ok` looks like that of an
@@ -39,8 +45,12 @@ const ANSWER_ACTION: i64 = 1000 * MS;
 const ANSWER_WAITING: i64 = 5000 * MS;
 /// Sent again while it waits it is complained about at once.
 const ANSWER_WAITED: i64 = 1000 * MS;
+/// So many questions may wait in its queue behind a command that waits.
+const QUESTIONS_MAX: u8 = 2;
 /// M410 takes a second, and one more when it comes out of the queue of a build without `EMERGENCY_PARSER`.
 const ANSWER_STOPPED: i64 = 2500 * MS;
+/// With it two copies of M410 take two seconds at most; what is sent meanwhile is read.
+const ANSWER_STOPPED_AT_ONCE: i64 = 1500 * MS;
 /// A greeting that begins with it is given so long.
 const GREETING: i64 = 8000 * MS;
 /// So many moves certainly fit into the planner.
@@ -60,6 +70,10 @@ const STOP_DEAF: i64 = 900 * MS;
 const STOPS_MAX: u8 = 4;
 /// Steps that still change when they were looked at so often: the controller is killed (M112).
 const STOP_LOOKS: u8 = 8;
+/// A build that takes M410 when it is read works on its queue after this time, or it has not stopped: so many signs of life
+/// besides an `ok` tell it from a link that is gone.
+const STOP_UNTAKEN: i64 = 3500 * MS;
+const SIGNS_STUCK: u8 = 2;
 /// Without an answer after so long it is a lost connection.
 const STOP_LOST: i64 = 8000 * MS;
 /// Builds that say `ok` before what they were asked for say no second one after it.
@@ -129,6 +143,8 @@ struct Flight {
     expires_ns: Option<i64>,
     /// How often a question was sent in its place since.
     replaced: u32,
+    /// It may be at work for long, or stand behind something that is.
+    waits: bool,
     /// The controller has its number: what is missing is its answer.
     taken: bool,
     /// An `ok` came, of this question or of something else.
@@ -167,6 +183,8 @@ pub struct MarlinWire {
     own_line: Option<(LineBuf, Kind)>,
     /// The answer to the question on its way.
     answered: Option<Question>,
+    /// Questions that were taken and not answered.
+    questions: u8,
     /// So long the command that was acknowledged last may still be at work: a build that says `ok` before it has waited.
     held_up_until: Option<i64>,
     position_mm: Option<[Option<f64>; 3]>,
@@ -175,6 +193,10 @@ pub struct MarlinWire {
     steps_before: Option<[f64; 3]>,
     /// M410 was sent and no question answered since.
     quickstop: bool,
+    /// Signs of life since then without an `ok`.
+    stuck: u8,
+    /// The `ok` that comes before then belongs to a `Resend:`.
+    resend_ok_until: Option<i64>,
     moves_ahead: u32,
     own_not_before: i64,
     next_poll: i64,
@@ -186,6 +208,8 @@ pub struct MarlinWire {
     dead: bool,
     held_sign: Box<str>,
     held: bool,
+    /// `EMERGENCY_PARSER`: M410 and M112 act when they are read.
+    emergency_parser: bool,
 }
 
 impl MarlinWire {
@@ -202,14 +226,27 @@ impl MarlinWire {
         self.asked_since = None;
         self.steps = None;
         self.steps_before = None;
+        self.questions = 0;
+        self.stuck = 0;
+    }
+
+    /// How long an answer may take.
+    fn patience(&self) -> i64 {
+        match (self.quickstop, self.emergency_parser) {
+            (false, _) => ANSWER,
+            (true, false) => ANSWER_STOPPED,
+            (true, true) => ANSWER_STOPPED_AT_ONCE,
+        }
     }
 
     /// Another chore, without a stop: a poll on its way is waited for, or its answer would be taken for another's.
     fn turn_to(&mut self, chore: Chore) {
         let polled = self.flight.filter(|_| self.polling);
         let since = self.asked_since.filter(|_| polled.is_some());
+        let questions = self.questions;
         self.begin(chore);
         (self.flight, self.polling, self.asked_since) = (polled, polled.is_some(), since);
+        self.questions = questions;
     }
 
     /// How long a greeting may take.
@@ -240,6 +277,10 @@ impl MarlinWire {
         len
     }
 
+    fn next_number(&self) -> u32 {
+        if self.number < NUMBER_MAX { self.number + 1 } else { 1 }
+    }
+
     fn launch(
         &mut self,
         text: LineBuf,
@@ -248,7 +289,7 @@ impl MarlinWire {
         now: i64,
         out: &mut [u8],
     ) -> usize {
-        self.number = if self.number < NUMBER_MAX { self.number + 1 } else { 1 };
+        self.number = self.next_number();
         let asks = match text.as_bytes() {
             b"M114" => Some(Question::Position),
             b"M115" => Some(Question::Who),
@@ -256,7 +297,10 @@ impl MarlinWire {
             _ => None,
         };
         self.answered = None;
+        let held_up_until = self.held_up_until.take();
+        let moves = matches!(kind, Some(Kind::Motion | Kind::Dwell | Kind::Home));
         let flight = Flight {
+            waits: moves || text.as_bytes() == b"M400" || held_up_until.is_some() || self.quickstop,
             asks,
             text,
             kind,
@@ -270,7 +314,7 @@ impl MarlinWire {
             replaced: 0,
             taken: false,
             ok_seen: false,
-            held_up_until: self.held_up_until.take(),
+            held_up_until,
         };
         self.flight = Some(flight);
         Self::encode(&flight, out)

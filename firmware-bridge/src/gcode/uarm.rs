@@ -306,7 +306,7 @@ impl UarmWire {
         events.push(if greeting {
             Event::Up { restarted: core::mem::take(&mut self.restarted), alarm: None }
         } else {
-            Event::Stopped
+            Event::Stopped([None; 3])
         });
     }
 

@@ -41,8 +41,8 @@ pub(crate) enum Event {
     Resting([Option<f64>; 3]),
     /// It moves, and is here.
     Passing([Option<f64>; 3]),
-    /// Answer to [`Wire::stop`].
-    Stopped,
+    /// Answer to [`Wire::stop`]; where it says that it stands, if it was asked.
+    Stopped([Option<f64>; 3]),
     /// Answer to [`Wire::settle`]: lines may flow.
     Settled,
     /// Answer to [`Wire::unlock`].

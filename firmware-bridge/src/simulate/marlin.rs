@@ -3,7 +3,7 @@
 //! Numbered lines need a checksum and the next number, otherwise the receive buffer is thrown away and `Resend:`
 //! asks for the right one; lines without a number are taken as they come. A queue of 4 commands, a planner of 16
 //! moves; `ok` means done for commands and planned for moves. Commands that wait say `echo:busy: processing` every
-//! two seconds. M112, M410 act when they are read, before the queue, if they have no number; reading goes on while
+//! two seconds, where the build has `HOST_KEEPALIVE_FEATURE`. M112, M410 act when they are read, before the queue, if they have no number; reading goes on while
 //! a command waits, as long as the queue has room. For a second after M410 nothing is worked on and no move planned;
 //! a build without `EMERGENCY_PARSER` does the same once more when M410 comes out of its queue. What M114 says,
 //! `Count` included, is where the last planned move ends. A servo keeps the firmware from reading for 300 ms.
@@ -69,6 +69,8 @@ pub struct MarlinFirmware {
     advanced_ok: bool,
     /// `EMERGENCY_PARSER`: M410 acts once.
     emergency_parser: bool,
+    /// `HOST_KEEPALIVE_FEATURE`.
+    keepalive: bool,
     /// The planner is being cleaned.
     cleaning_until_ns: i64,
     rx: VecDeque<u8>,
@@ -89,7 +91,7 @@ pub struct MarlinFirmware {
 
 impl MarlinFirmware {
     /// Switched off, the arm at its park position; it boots at the first call. The later build has `ADVANCED_OK` and
-    /// `EMERGENCY_PARSER`.
+    /// `EMERGENCY_PARSER`, that of the first generation no `HOST_KEEPALIVE_FEATURE`.
     pub fn new(park_mm: [f64; 3], faults: Faults) -> Self {
         let noise = Noise::new(faults);
         let mut arm = Mechanics::new(park_mm);
@@ -102,6 +104,7 @@ impl MarlinFirmware {
             busy_said_ns: 0,
             advanced_ok: faults.later_build(),
             emergency_parser: faults.later_build(),
+            keepalive: !faults.first_generation(),
             cleaning_until_ns: i64::MIN,
             rx: VecDeque::with_capacity(RX_LEN),
             line: Vec::with_capacity(COMMAND_LEN),
@@ -149,7 +152,7 @@ impl MarlinFirmware {
                 Some(at)
             }
             Busy::Off => Some(i64::MIN),
-            Busy::PlannerFull { .. } | Busy::Sync(_) => Some(self.busy_said_ns + BUSY_NS),
+            Busy::PlannerFull { .. } | Busy::Sync(_) if self.keepalive => Some(self.busy_said_ns + BUSY_NS),
             _ => None,
         };
         let cleans = self.cleaning_until_ns > i64::MIN;
@@ -217,7 +220,7 @@ impl MarlinFirmware {
         self.cleaning_until_ns = i64::MIN;
         let waits =
             matches!(self.busy, Busy::PlannerFull { .. } | Busy::Sync(_) | Busy::Until(_) | Busy::Homing(_));
-        if waits && now_ns - self.busy_said_ns >= BUSY_NS {
+        if waits && self.keepalive && now_ns - self.busy_said_ns >= BUSY_NS {
             self.busy_said_ns = now_ns;
             self.say("echo:busy: processing\r\n");
         }
@@ -401,11 +404,12 @@ impl MarlinFirmware {
                     to[2] * 400.0
                 ));
             }
-            ('M', 115) => self.say(
+            ('M', 115) => self.say(&format!(
                 "FIRMWARE_NAME:Marlin 2.1.2.5 (Dec  1 2024 12:00:00) SOURCE_CODE_URL:github.com/MarlinFirmware/Marlin \
                  PROTOCOL_VERSION:1.0 MACHINE_TYPE:Arm EXTRUDER_COUNT:0 UUID:cede2a2f-41a2-4748-9b12-c55c62f367ff\r\n\
-                 Cap:EEPROM:1\r\nCap:EMERGENCY_PARSER:0\r\n",
-            ),
+                 Cap:EEPROM:1\r\nCap:EMERGENCY_PARSER:{}\r\n",
+                u8::from(self.emergency_parser)
+            )),
             ('M', 119) => {
                 let probe = if self.holds_part { "TRIGGERED" } else { "open" };
                 self.say(&format!(

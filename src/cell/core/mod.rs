@@ -69,8 +69,9 @@ use cameras::CameraState;
 use choose::Tried;
 use place::Place;
 
-/// How long `Event::Stop` waits for the arm to say that it holds, ns.
-pub const STOP_NS: i64 = 500_000_000;
+/// How long `Event::Stop` waits for the arm to say that it holds, ns: Marlin cleans its planner for up to three seconds, and
+/// needs half a second more to be killed where it moves on all the same.
+pub const STOP_NS: i64 = 4_000_000_000;
 
 /// What the core needs to know of its cell.
 #[derive(Clone, Debug, PartialEq)]

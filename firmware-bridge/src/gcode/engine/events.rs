@@ -42,7 +42,12 @@ impl<W: Wire> Driver<W> {
                 }
             }
             Event::Reachable(reachable) => self.reachable(reachable, now_ns),
-            Event::Stopped if self.phase == Phase::Stopping => self.stopped(),
+            Event::Stopped(position_mm) if self.phase == Phase::Stopping => {
+                if self.claims_arrival(position_mm) {
+                    self.reports.push(Report::PositionUnknown);
+                }
+                self.stopped();
+            }
             Event::Settled if self.stage == Stage::Settling && self.phase == Phase::Starting => {
                 self.flight.clear();
                 self.stage = Stage::Preamble(0);
@@ -76,8 +81,8 @@ impl<W: Wire> Driver<W> {
                 self.wire.greet(now_ns);
             }
             // A stop in the middle of a handshake ends it.
-            Event::Stopped if self.phase == Phase::Connecting => self.wire.greet(now_ns),
-            Event::Held(_) | Event::Stopped | Event::Settled | Event::Unlocked => {}
+            Event::Stopped(_) if self.phase == Phase::Connecting => self.wire.greet(now_ns),
+            Event::Held(_) | Event::Stopped(_) | Event::Settled | Event::Unlocked => {}
         }
     }
 
@@ -149,6 +154,15 @@ impl<W: Wire> Driver<W> {
         self.forget_lines();
         self.end_current(self.ending);
         self.reports.push(Report::Held { by: self.held_by });
+    }
+
+    /// Stopped on its way it says that it stands where the move was to end: a firmware that counts a move as done when it
+    /// has cut it into pieces. What it believes from now on is wrong by the rest of the move.
+    fn claims_arrival(&self, position_mm: [Option<f64>; 3]) -> bool {
+        let known = |position_mm: [Option<f64>; 3]| position_mm.iter().all(Option::is_some);
+        let was_there = known(self.seen_mm) && !differ(self.seen_mm, position_mm, W::TOLERANCE_MM);
+        let arrived = known(position_mm) && !differ(self.expected_mm, position_mm, ARRIVED_MM);
+        self.moved && arrived && !was_there
     }
 
     /// Ends the pick without success.
@@ -295,11 +309,7 @@ impl<W: Wire> Driver<W> {
     }
 
     fn is_elsewhere(&self, position_mm: [Option<f64>; 3]) -> bool {
-        let far = |axis: usize| match (self.expected_mm[axis], position_mm[axis]) {
-            (Some(expected), Some(at)) => (expected - at).abs() > W::TOLERANCE_MM,
-            _ => false,
-        };
-        (0..3).any(far)
+        differ(self.expected_mm, position_mm, W::TOLERANCE_MM)
     }
 
     fn reachable(&mut self, reachable: bool, now_ns: i64) {
@@ -326,4 +336,12 @@ impl<W: Wire> Driver<W> {
         self.deadline_ns = None;
         self.reports.push(Report::Ready { clear_of_view: self.clear_of_view });
     }
+}
+
+/// Whether two points are further apart than that in a coordinate that both have.
+fn differ(one_mm: [Option<f64>; 3], other_mm: [Option<f64>; 3], by_mm: f64) -> bool {
+    one_mm.iter().zip(other_mm).any(|(one, other)| match (one, other) {
+        (Some(one), Some(other)) => (one - other).abs() > by_mm,
+        _ => false,
+    })
 }

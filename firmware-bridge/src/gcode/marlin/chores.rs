@@ -26,7 +26,7 @@ impl MarlinWire {
                 self.moves_ahead = 0;
                 self.next_poll = now + self.heartbeat;
                 events.push(match chore {
-                    Chore::Stop { .. } => Event::Stopped,
+                    Chore::Stop { .. } => Event::Stopped(self.position_mm.unwrap_or_default()),
                     Chore::Settle(_) => Event::Settled,
                     _ => Event::Standing(self.position_mm.unwrap_or_default()),
                 });
@@ -41,11 +41,7 @@ impl MarlinWire {
             }
             Chore::Stop { asking: Asking::Look, looks, .. } if !self.rests() => {
                 if looks >= STOP_LOOKS {
-                    // It moves on in spite of M410.
-                    self.begin(Chore::None);
-                    self.dead = true;
-                    self.urgent = Some(LineBuf::of("\nM112\n"));
-                    return events.push(Event::Alarm { code: 112, position_lost: true });
+                    return self.kill(events);
                 }
                 if let Chore::Stop { looks, .. } = &mut self.chore {
                     *looks += 1;
@@ -70,6 +66,14 @@ impl MarlinWire {
             }
             Chore::Closed | Chore::Banner(_) | Chore::None => {}
         }
+    }
+
+    /// It moves on in spite of M410.
+    pub(super) fn kill(&mut self, events: &mut Events) {
+        self.begin(Chore::None);
+        self.dead = true;
+        self.urgent = Some(LineBuf::of("\nM112\n"));
+        events.push(Event::Alarm { code: 112, position_lost: true });
     }
 
     /// Another M410.
@@ -105,9 +109,14 @@ impl MarlinWire {
         if flight.is_answered(self.answered) && flight.ok_seen {
             return self.done(now, events);
         }
-        if flight.taken {
-            return self.ask_anew();
+        if flight.taken && self.questions < QUESTIONS_MAX {
+            return self.ask_anew(now);
         }
+        if flight.taken && !flight.waits {
+            return events.push(Event::Silent);
+        }
+        // Known to be taken, it is sent again all the same: that it is complained about shows that the link lives.
+        flight.taken = false;
         flight.tries += 1;
         let until = flight.held_up_until.filter(|&until| now < until);
         if flight.tries <= self.tries_max || until.is_some() {

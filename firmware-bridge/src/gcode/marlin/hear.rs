@@ -25,6 +25,7 @@ impl MarlinWire {
             return;
         }
         if text.starts_with("echo:busy") || text.starts_with("busy:") {
+            self.stuck = self.stuck.saturating_add(1);
             if let Some(flight) = &mut self.flight {
                 flight.sent = now;
             }
@@ -50,6 +51,10 @@ impl MarlinWire {
         if text.starts_with("FIRMWARE_NAME:") {
             self.answered = Some(Question::Who);
             self.foreign = !text.contains("Marlin");
+            return;
+        }
+        if text == "Cap:EMERGENCY_PARSER:1" {
+            self.emergency_parser = true;
             return;
         }
         if text.starts_with("Reporting endstop") {
@@ -132,15 +137,18 @@ impl MarlinWire {
                 self.flight = None;
                 return events.push(fault.map_or(Event::LineDone, Event::LineFailed));
             }
-            if flight.asks.is_none() || flight.asks == self.answered {
+            if flight.is_answered(self.answered) {
                 return self.done(now, events);
             }
-            if flight.ok_seen {
-                return self.ask_anew();
+            if flight.asks.is_none() || (flight.ok_seen && self.questions < QUESTIONS_MAX) {
+                return self.ask_anew(now + RESEND_PAUSE);
             }
             // It may wait behind something that takes its time.
-            (flight.taken, flight.resend) = (true, None);
-            (flight.sent, flight.patience) = (now, ANSWER_WAITING);
+            (flight.taken, flight.resend, flight.tries) = (true, None, 0);
+            let stopping = matches!(self.chore, Chore::Stop { .. });
+            (flight.sent, flight.patience) = (now, if stopping { ANSWER_WAITED } else { ANSWER_WAITING });
+            self.resend_ok_until = Some(now + RESEND_PAUSE);
+            self.stuck = self.stuck.saturating_add(1);
             return;
         }
         // Nobody knows which number comes first, nor whether the line was taken that a stop came after.
@@ -160,18 +168,34 @@ impl MarlinWire {
         }
     }
 
-    /// The question was taken, its answer is lost.
-    pub(super) fn ask_anew(&mut self) {
-        let Some(flight) = self.flight.take() else { return };
+    /// The line was taken, its answer is lost or late: asks behind it, at that moment.
+    pub(super) fn ask_anew(&mut self, at: i64) {
         if self.polling && self.chore != Chore::None {
             // Something else is waiting for it.
             self.polling = false;
-        } else {
-            self.own_line = Some((flight.text, Kind::Modal));
+            self.flight = None;
+            return;
         }
+        let number = self.next_number();
+        let Some(flight) = &mut self.flight else { return };
+        if flight.asks.is_none() {
+            flight.text = LineBuf::of("M114");
+            flight.asks = Some(Question::Position);
+            flight.expires_ns = None;
+        }
+        (flight.number, self.number) = (number, number);
+        (flight.taken, flight.ok_seen, flight.tries) = (false, false, 0);
+        flight.patience = ANSWER;
+        flight.resend = Some(at);
+        self.questions += 1;
+        self.answered = None;
     }
 
     fn ok(&mut self, rest: &str, now: i64, events: &mut Events) {
+        if self.resend_ok_until.take().is_some_and(|until| now < until) {
+            return;
+        }
+        self.stuck = 0;
         let Some(flight) = &self.flight else { return };
         // The `ok` behind a `Resend:` acknowledges nothing.
         if flight.resend.is_some() {
@@ -193,8 +217,10 @@ impl MarlinWire {
             self.flight = Some(flight);
             return;
         }
-        self.quickstop &= flight.asks.is_none();
-        if matches!(flight.kind, Some(Kind::Dwell | Kind::Home)) || flight.text.as_bytes() == b"M400" {
+        if flight.asks.is_some() {
+            self.quickstop = false;
+            self.questions = 0;
+        } else if matches!(flight.kind, Some(Kind::Dwell | Kind::Home)) || flight.text.as_bytes() == b"M400" {
             self.held_up_until = Some(flight.sent + flight.patience.max(ANSWER_WAITING));
         }
         if flight.replaced > 0 {
@@ -203,10 +229,12 @@ impl MarlinWire {
         if flight.kind.is_some() {
             return events.push(flight.fault.map_or(Event::LineDone, Event::LineFailed));
         }
+        let late = flight.held_up_until.is_some() && now - flight.sent >= ANSWER;
         if flight.asks == Some(Question::Position)
-            && let Some(since) = self.asked_since.take()
+            && let Some(since) = self.asked_since.take().filter(|_| !late)
         {
-            // From the first time it was asked: an answer to that one must not look faster than it is.
+            // From the first time it was asked: an answer to that one must not look faster than it is. Behind a command
+            // that waits it may take as long as that.
             events.push(Event::Heartbeat(u32::try_from((now - since) / 2000).unwrap_or(u32::MAX)));
         }
         if core::mem::take(&mut self.polling) {

@@ -31,11 +31,14 @@ impl Wire for MarlinWire {
             urgent: None,
             own_line: None,
             answered: None,
+            questions: 0,
             held_up_until: None,
             position_mm: None,
             steps: None,
             steps_before: None,
             quickstop: false,
+            stuck: 0,
+            resend_ok_until: None,
             moves_ahead: 0,
             own_not_before: 0,
             next_poll: 0,
@@ -46,6 +49,7 @@ impl Wire for MarlinWire {
             dead: false,
             held_sign: arm.moves.held.as_ref().map_or_else(Box::default, |held| held.expect.as_str().into()),
             held: false,
+            emergency_parser: false,
         }
     }
 
@@ -58,6 +62,7 @@ impl Wire for MarlinWire {
         self.incoming.clear();
         self.foreign = false;
         self.dead = false;
+        self.emergency_parser = false;
         self.say_hello(now);
         // Moves of a cell that is gone are thrown away before anything new. A line cut in the middle by that
         // cell has a number and no checksum: ending it makes the controller refuse it.
@@ -102,6 +107,11 @@ impl Wire for MarlinWire {
                 self.begin(Chore::None);
                 return events.push(Event::Silent);
             }
+            Chore::Stop { since, .. }
+                if self.emergency_parser && self.stuck >= SIGNS_STUCK && now - since >= STOP_UNTAKEN =>
+            {
+                return self.kill(events);
+            }
             Chore::Stop { sent: 1, since, .. } => {
                 if now - since >= STOP_AGAIN {
                     self.stop_again("M410\n", now);
@@ -127,7 +137,11 @@ impl Wire for MarlinWire {
             Chore::Closed => return None,
             Chore::Banner(until) => return Some(until),
             Chore::Greet(_, since) => Some(since + self.greeting()),
-            Chore::Stop { sent, since, .. } => Some(since + if sent == 1 { STOP_AGAIN } else { STOP_LOST }),
+            Chore::Stop { sent: 1, since, .. } => Some(since + STOP_AGAIN),
+            Chore::Stop { since, .. } if self.emergency_parser && self.stuck >= SIGNS_STUCK => {
+                Some(since + STOP_UNTAKEN)
+            }
+            Chore::Stop { since, .. } => Some(since + STOP_LOST),
             Chore::None if !self.dead && self.flight.is_none() => Some(self.next_poll),
             _ => None,
         };
@@ -171,8 +185,7 @@ impl Wire for MarlinWire {
         }
         let patience = match kind {
             Kind::Dwell => ANSWER_WAITING,
-            _ if self.quickstop => ANSWER_STOPPED,
-            _ => ANSWER,
+            _ => self.patience(),
         };
         (self.launch(line, None, patience, now, out), false)
     }

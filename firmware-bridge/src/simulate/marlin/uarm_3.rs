@@ -33,7 +33,7 @@ impl MarlinFirmware {
     /// A uArm with firmware 3, switched off.
     pub fn uarm_3(park_mm: [f64; 3], faults: Faults) -> Self {
         let mut firmware = Self::new(park_mm, faults);
-        (firmware.advanced_ok, firmware.emergency_parser) = (false, false);
+        (firmware.advanced_ok, firmware.emergency_parser, firmware.keepalive) = (false, false, true);
         firmware.uarm = Some(Answer::default());
         firmware
     }

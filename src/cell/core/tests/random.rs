@@ -265,7 +265,7 @@ fn whatever_happens_no_target_is_doubled_stale_lost_or_sent_on_hold() {
         if !run.judge.over {
             run.event(Event::Tick);
         }
-        assert!(run.judge.over, "seed {seed}: half a second after the stop all is over");
+        assert!(run.judge.over, "seed {seed}: a while after the stop all is over");
         for id in &run.judge.ordered {
             assert_eq!(run.judge.ends.get(id), Some(&1), "seed {seed}: every target ends exactly once");
         }
