@@ -184,7 +184,7 @@ fn run(seed: u64, settings: &Settings) -> (u32, u64) {
         campaign.told.notes
     );
     campaign.carrier.event(&Event::Stop, campaign.now);
-    for _ in 0..40 {
+    for _ in 0..250 {
         if campaign.carrier.ending().is_none() {
             campaign.now = Timestamp(campaign.now.0 + 20 * MS);
             campaign.carrier.turn(campaign.now);
