@@ -12,8 +12,8 @@ use clap::{Args, ValueEnum};
 Example: pickcell run --cell cell.toml
          pickcell run --soak 20000 --rate 30
 
-Signals: SIGINT, SIGTERM, SIGHUP: no further target, the arm is told to hold, exit. SIGUSR1: the operator's release.
-         SIGUSR2: the operator's hold. Software is no emergency stop.
+Signals: SIGINT, SIGTERM, SIGHUP: no further target, the arm is told to hold and has four seconds to confirm it, exit.
+         SIGUSR1: the operator's release. SIGUSR2: the operator's hold. Software is no emergency stop.
 Exit code: 0 done, 1 the job failed, 2 wrong usage or configuration.")]
 pub struct RunArgs {
     /// The cell
