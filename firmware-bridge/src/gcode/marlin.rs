@@ -13,8 +13,8 @@
 //!
 //! A build without `HOST_KEEPALIVE_FEATURE` says nothing while a command waits, for as long as that takes. A line that
 //! it has is refused at once when it comes a second time, which shows that the link and the controller live; whether the line
-//! is done shows the answer to an M114 behind it. No more than two of these are ever in its queue, which holds four
-//! commands and is not read when it is full.
+//! is done shows the answer to an M114 behind it. No more than two of these wait in its queue, which holds four commands
+//! and is not read when it is full.
 //!
 //! Which number comes next Marlin says itself, in `Resend:`; a line of the wire's own takes that number. (M110 would set
 //! it once more when it is worked on, behind lines that were read meanwhile, and its `ok` looks like that of an
@@ -45,8 +45,10 @@ const ANSWER_ACTION: i64 = 1000 * MS;
 const ANSWER_WAITING: i64 = 5000 * MS;
 /// Sent again while it waits it is complained about at once.
 const ANSWER_WAITED: i64 = 1000 * MS;
-/// So many questions may wait in its queue behind a command that waits.
+/// So many questions may wait in its queue behind a command that waits: there is room for M410 still.
 const QUESTIONS_MAX: u8 = 2;
+/// So often a line that was taken is sent again before all its answers are taken to be lost: 80 seconds.
+const PROBES_MAX: u8 = 16;
 /// M410 takes a second, and one more when it comes out of the queue of a build without `EMERGENCY_PARSER`.
 const ANSWER_STOPPED: i64 = 2500 * MS;
 /// With it two copies of M410 take two seconds at most; what is sent meanwhile is read.
@@ -147,6 +149,8 @@ struct Flight {
     waits: bool,
     /// The controller has its number: what is missing is its answer.
     taken: bool,
+    /// How often it was sent again since.
+    probes: u8,
     /// An `ok` came, of this question or of something else.
     ok_seen: bool,
     /// Until then silence may be that of the command before it, whose `ok` came too early.
@@ -230,6 +234,11 @@ impl MarlinWire {
         self.stuck = 0;
     }
 
+    /// Whether another question may be sent behind the line on its way.
+    fn may_ask(&self, flight: &Flight) -> bool {
+        !flight.waits || self.questions < QUESTIONS_MAX
+    }
+
     /// How long an answer may take.
     fn patience(&self) -> i64 {
         match (self.quickstop, self.emergency_parser) {
@@ -297,6 +306,7 @@ impl MarlinWire {
             _ => None,
         };
         self.answered = None;
+        self.questions = u8::from(asks.is_some());
         let held_up_until = self.held_up_until.take();
         let moves = matches!(kind, Some(Kind::Motion | Kind::Dwell | Kind::Home));
         let flight = Flight {
@@ -313,6 +323,7 @@ impl MarlinWire {
             expires_ns: None,
             replaced: 0,
             taken: false,
+            probes: 0,
             ok_seen: false,
             held_up_until,
         };

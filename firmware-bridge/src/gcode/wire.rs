@@ -31,6 +31,8 @@ pub(crate) enum Event {
     WrongDialect,
     /// The oldest line is acknowledged (planned or done).
     LineDone,
+    /// The oldest line was taken and is done, its acknowledgement is lost; it says that it stands or will stand here.
+    LineTaken([Option<f64>; 3]),
     /// The oldest line is refused.
     LineFailed(u16),
     /// The oldest line was never taken, and is too old to be sent again.

@@ -27,6 +27,13 @@ impl<W: Wire> Driver<W> {
                 self.reports.push(Report::Heartbeat { delay_us });
             }
             Event::LineDone => self.line_done(),
+            // A refusal may be lost as well.
+            Event::LineTaken(position_mm)
+                if self.flight.front() == Some(&Kind::Motion) && self.is_elsewhere(position_mm) =>
+            {
+                self.line_failed(CODE_UNANSWERED, now_ns);
+            }
+            Event::LineTaken(_) => self.line_done(),
             Event::LineFailed(code) => self.line_failed(code, now_ns),
             Event::LineExpired => self.line_expired(now_ns),
             Event::Standing(position_mm) => self.standing(position_mm, now_ns),

@@ -105,18 +105,20 @@ impl MarlinWire {
 
     /// An answer has not come.
     pub(super) fn unanswered(&mut self, now: i64, events: &mut Events) {
+        let may_ask = self.flight.as_ref().is_some_and(|flight| self.may_ask(flight));
         let Some(flight) = &mut self.flight else { return };
         if flight.is_answered(self.answered) && flight.ok_seen {
             return self.done(now, events);
         }
-        if flight.taken && self.questions < QUESTIONS_MAX {
+        if flight.taken && may_ask {
             return self.ask_anew(now);
         }
-        if flight.taken && !flight.waits {
+        // Known to be taken, it is sent again all the same: that it is complained about shows that the link lives.
+        flight.probes += u8::from(flight.taken);
+        flight.taken = false;
+        if flight.probes > PROBES_MAX {
             return events.push(Event::Silent);
         }
-        // Known to be taken, it is sent again all the same: that it is complained about shows that the link lives.
-        flight.taken = false;
         flight.tries += 1;
         let until = flight.held_up_until.filter(|&until| now < until);
         if flight.tries <= self.tries_max || until.is_some() {

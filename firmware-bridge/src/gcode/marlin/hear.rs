@@ -127,6 +127,7 @@ impl MarlinWire {
     }
 
     fn resend(&mut self, number: u32, now: i64, events: &mut Events) {
+        let may_ask = self.flight.as_ref().is_some_and(|flight| self.may_ask(flight));
         let Some(flight) = &mut self.flight else { return };
         let unknown = matches!(self.chore, Chore::Greet(Greeting::Who, _));
         if number == flight.number + 1 && !unknown {
@@ -140,7 +141,7 @@ impl MarlinWire {
             if flight.is_answered(self.answered) {
                 return self.done(now, events);
             }
-            if flight.asks.is_none() || (flight.ok_seen && self.questions < QUESTIONS_MAX) {
+            if flight.asks.is_none() || (flight.ok_seen && may_ask) {
                 return self.ask_anew(now + RESEND_PAUSE);
             }
             // It may wait behind something that takes its time.
@@ -195,12 +196,14 @@ impl MarlinWire {
         if self.resend_ok_until.take().is_some_and(|until| now < until) {
             return;
         }
-        self.stuck = 0;
-        let Some(flight) = &self.flight else { return };
         // The `ok` behind a `Resend:` acknowledges nothing.
-        if flight.resend.is_some() {
+        if self.flight.is_some_and(|flight| flight.resend.is_some()) {
             return;
         }
+        self.stuck = 0;
+        // One less waits.
+        self.questions = self.questions.saturating_sub(1);
+        let Some(flight) = &self.flight else { return };
         let numbered = rest.trim_start().strip_prefix('N').and_then(line::leading_integer);
         if numbered.is_some_and(|(number, _)| number != flight.number) {
             return;
@@ -217,6 +220,8 @@ impl MarlinWire {
             self.flight = Some(flight);
             return;
         }
+        // Behind a command that waits, or a planner that is being cleaned, an answer takes as long as that.
+        let held_up = flight.held_up_until.is_some() || self.quickstop;
         if flight.asks.is_some() {
             self.quickstop = false;
             self.questions = 0;
@@ -227,14 +232,15 @@ impl MarlinWire {
             return events.push(Event::LineExpired);
         }
         if flight.kind.is_some() {
-            return events.push(flight.fault.map_or(Event::LineDone, Event::LineFailed));
+            let asked = flight.asks.map(|_| self.position_mm.unwrap_or_default());
+            let done = asked.map_or(Event::LineDone, Event::LineTaken);
+            return events.push(flight.fault.map_or(done, Event::LineFailed));
         }
-        let late = flight.held_up_until.is_some() && now - flight.sent >= ANSWER;
         if flight.asks == Some(Question::Position)
-            && let Some(since) = self.asked_since.take().filter(|_| !late)
+            && let Some(since) = self.asked_since.take()
+            && (now - since < ANSWER || !held_up)
         {
-            // From the first time it was asked: an answer to that one must not look faster than it is. Behind a command
-            // that waits it may take as long as that.
+            // From the first time it was asked: an answer to that one must not look faster than it is.
             events.push(Event::Heartbeat(u32::try_from((now - since) / 2000).unwrap_or(u32::MAX)));
         }
         if core::mem::take(&mut self.polling) {

@@ -55,7 +55,10 @@ fn a_wait_is_no_delay_of_the_line() {
     }
     // An `ok` before M400 has waited: the question behind it is answered three seconds later.
     assert_eq!(desk.hear("ok\r\n"), "N12 M114\\n");
-    desk.wait(3000);
+    // It was taken, so a copy of it is refused meanwhile.
+    desk.wait(2900);
+    desk.hear(&taken(12));
+    desk.wait(100);
     let sent = desk.hear(THERE) + &desk.wait(40);
     assert_eq!(sent, "N13 M106 S255\\n");
     assert!(desk.delay_us < 50_000, "{} us", desk.delay_us);
@@ -109,6 +112,8 @@ fn a_stop_that_leaves_it_where_the_move_was_to_end_leaves_its_position_unknown()
         }
         let told = desk.told();
         assert_eq!(told.contains(&Report::PositionUnknown), unknown, "{told:?}");
+        // The second in which the planner was being cleaned is no delay either.
+        assert!(desk.delay_us < 50_000, "{} us", desk.delay_us);
         assert!(told.ends_with(&[Report::Held { by: HeldBy::Command }]), "{told:?}");
     }
 }
