@@ -8,7 +8,8 @@ impl UarmWire {
             self.heard = now;
             return self.status(status, now, events);
         }
-        if let Some(answer) = text.strip_prefix('$')
+        // Version 4.10 writes the pressure that it measures before the answer to P2231, on its line.
+        if let Some((_, answer)) = text.rsplit_once('$')
             && let Some((tag, rest)) = line::leading_integer(answer)
         {
             self.heard = now;
