@@ -6,7 +6,8 @@
 //! two seconds, where the build has `HOST_KEEPALIVE_FEATURE`. M112, M410 act when they are read, before the queue, if they have no number; reading goes on while
 //! a command waits, as long as the queue has room. For a second after M410 nothing is worked on and no move planned;
 //! a build without `EMERGENCY_PARSER` does the same once more when M410 comes out of its queue. What M114 says,
-//! `Count` included, is where the last planned move ends. A servo keeps the firmware from reading for 300 ms.
+//! `Count` included, is where the last planned move ends; a build without `HOST_KEEPALIVE_FEATURE`, one of version 1.1,
+//! says it when the arm stands. A servo keeps the firmware from reading for 300 ms.
 
 mod uarm_3;
 
@@ -48,6 +49,8 @@ enum Busy {
     },
     /// M400; a dwell follows, ns.
     Sync(i64),
+    /// M114 of version 1.1.
+    Standing,
     Until(i64),
     Homing(i64),
     /// M280, deaf.
@@ -240,6 +243,10 @@ impl MarlinFirmware {
                 }
                 self.finish(now_ns);
             }
+            Busy::Standing if self.arm.blocks() == 0 => {
+                self.say_position();
+                self.finish(now_ns);
+            }
             Busy::Sync(dwell_ns) if self.arm.blocks() == 0 => self.busy = Busy::Until(now_ns + dwell_ns),
             Busy::Until(at) | Busy::Servo(at) if now_ns >= at => self.finish(now_ns),
             Busy::Homing(at) if now_ns >= at => {
@@ -392,18 +399,11 @@ impl MarlinFirmware {
                 self.busy = Busy::Sync(0);
                 return;
             }
-            ('M', 114) => {
-                let to = self.arm.destination();
-                self.say(&format!(
-                    "X:{:.2} Y:{:.2} Z:{:.2} E:0.00 Count X:{:.0} Y:{:.0} Z:{:.0}\r\n",
-                    to[0],
-                    to[1],
-                    to[2],
-                    to[0] * 80.0,
-                    to[1] * 80.0,
-                    to[2] * 400.0
-                ));
+            ('M', 114) if !self.keepalive => {
+                self.busy = Busy::Standing;
+                return;
             }
+            ('M', 114) => self.say_position(),
             ('M', 115) => self.say(&format!(
                 "FIRMWARE_NAME:Marlin 2.1.2.5 (Dec  1 2024 12:00:00) SOURCE_CODE_URL:github.com/MarlinFirmware/Marlin \
                  PROTOCOL_VERSION:1.0 MACHINE_TYPE:Arm EXTRUDER_COUNT:0 UUID:cede2a2f-41a2-4748-9b12-c55c62f367ff\r\n\
@@ -419,6 +419,15 @@ impl MarlinFirmware {
             _ => self.say(&format!("echo:Unknown command: \"{text}\"\r\n")),
         }
         self.finish(now_ns);
+    }
+
+    fn say_position(&mut self) {
+        let [x, y, z] = self.arm.destination();
+        let steps = [x * 80.0, y * 80.0, z * 400.0];
+        self.say(&format!(
+            "X:{x:.2} Y:{y:.2} Z:{z:.2} E:0.00 Count X:{:.0} Y:{:.0} Z:{:.0}\r\n",
+            steps[0], steps[1], steps[2]
+        ));
     }
 
     fn travel(&mut self, words: [Option<f64>; 3], feed: Option<f64>) {

@@ -188,7 +188,7 @@ impl MarlinWire {
         (flight.taken, flight.ok_seen, flight.tries) = (false, false, 0);
         flight.patience = ANSWER;
         flight.resend = Some(at);
-        self.questions += 1;
+        self.questions = self.questions.saturating_add(1);
         self.answered = None;
     }
 
