@@ -91,6 +91,15 @@ impl Desk {
         assert_eq!(self.told(), [Report::Ready { clear_of_view: false }]);
     }
 
+    /// A pick whose moves were all acknowledged: M400 waits for them.
+    fn wait_for_moves(&mut self) {
+        self.make_ready();
+        self.pick();
+        self.hear("ok\r\n");
+        self.hear("ok\r\n");
+        assert_eq!(self.hear("ok\r\n"), "N11 M400\\n");
+    }
+
     /// A pick whose first move is on its way.
     fn pick(&mut self) -> String {
         let mut pick = crate::gate::tests::pick();
@@ -117,6 +126,12 @@ fn without_checksum(text: &str) -> String {
 fn at(mm: f64) -> String {
     let steps = mm * 80.0;
     format!("X:{mm:.2} Y:{mm:.2} Z:{mm:.2} E:0.00 Count X:{steps} Y:{steps} Z:{steps}\r\nok\r\n")
+}
+
+/// What Marlin says to a line that it has already.
+fn taken(number: u32) -> String {
+    let next = number + 1;
+    format!("Error:Line Number is not Last Line Number+1, Last Line: {number}\r\nResend: {next}\r\nok\r\n")
 }
 
 #[test]
@@ -152,8 +167,7 @@ fn an_ok_too_many_closes_no_gripper_before_the_moves_are_done() {
     // It waits behind the M400. Sent again it is known to have been taken, and left alone.
     let mut sent = desk.wait(260);
     assert_eq!(sent, "N12 M114\\n");
-    let taken = "Error:Line Number is not Last Line Number+1, Last Line: 12\r\nResend: 13\r\nok\r\n";
-    sent = desk.hear(taken);
+    sent = desk.hear(&taken(12));
     for _ in 0..4 {
         sent += &desk.wait(1900);
         sent += &desk.hear("echo:busy: processing\r\n");
@@ -175,8 +189,7 @@ fn an_answer_that_is_lost_is_asked_for_anew() {
     // Its line came damaged, its `ok` whole.
     desk.hear("X:1\u{e4}.00 Y:0.00 Z:0.00 E:0.00 Count X:0 Y:0 Z:0\r\nok\r\n");
     assert_eq!(desk.wait(250), polled);
-    let taken = "Error:Line Number is not Last Line Number+1, Last Line: 8\r\nResend: 9\r\nok\r\n";
-    assert_eq!(desk.hear(taken), "");
+    assert_eq!(desk.hear(&taken(8)), "");
     assert_eq!(desk.wait(30), "N9 M114\\n");
     // Both are lost: a link that complains is alive, and five seconds later it is asked anew as well.
     assert_eq!(desk.wait(260), "N9 M114\\n");
@@ -189,7 +202,7 @@ fn an_answer_that_is_lost_is_asked_for_anew() {
 
 #[test]
 fn a_quick_stop_takes_seconds_and_leaves_open_whether_the_last_line_was_taken() {
-    for taken in [true, false] {
+    for was_taken in [true, false] {
         let mut desk = Desk::new();
         desk.make_ready();
         desk.pick();
@@ -198,16 +211,15 @@ fn a_quick_stop_takes_seconds_and_leaves_open_whether_the_last_line_was_taken() 
         assert_eq!(desk.wait(300), "|\\nM410\\n|M410\\nN10 M114\\n");
         // Nothing is heard while the planner is being cleaned, then the `ok`s of N9 and of the M410s.
         assert_eq!(desk.wait(2000), "");
-        if taken {
+        if was_taken {
             assert_eq!(desk.hear("ok\r\nok\r\nok\r\nok\r\n"), "");
         } else {
-            let refused = "Error:Line Number is not Last Line Number+1, Last Line: 8\r\nResend: 9\r\nok\r\n";
-            assert_eq!(desk.hear(refused), "");
+            assert_eq!(desk.hear(&taken(8)), "");
             assert_eq!(desk.wait(30), "N9 M114\\n");
         }
         desk.hear(&at(3.0));
         let sent = desk.wait(60);
-        let next = if taken { 11 } else { 10 };
+        let next = if was_taken { 11 } else { 10 };
         assert_eq!(sent, format!("N{next} M114\\n"));
         assert_eq!(desk.hear(&at(3.0)), format!("N{} M400\\n", next + 1));
         assert_eq!(desk.hear("ok\r\n"), format!("N{} M114\\n", next + 2));
@@ -221,8 +233,7 @@ fn a_quick_stop_takes_seconds_and_leaves_open_whether_the_last_line_was_taken() 
 fn a_controller_that_has_counted_for_another_host_says_which_number_comes() {
     let mut desk = Desk::new();
     assert_eq!(desk.wait(102), "|\\nM410\\n|\\nM410\\nN1 M115\\n");
-    let refused = "Error:Line Number is not Last Line Number+1, Last Line: 5733\r\nResend: 5734\r\nok\r\n";
-    desk.hear(&format!("ok\r\n{refused}"));
+    desk.hear(&format!("ok\r\n{}", taken(5733)));
     assert_eq!(desk.wait(30), "N5734 M115\\n");
     assert_eq!(desk.hear("FIRMWARE_NAME:Marlin 2.1.2\r\nok\r\n"), "N5735 M114\\n");
     desk.hear(&at(0.0));
@@ -240,8 +251,7 @@ fn a_line_is_sent_again_when_it_is_asked_for_and_never_when_it_was_taken() {
     // No answer: the number makes it safe to send it again.
     assert_eq!(desk.wait(300), line);
     // It had been taken: whether only the acknowledgement was lost or it waits says the answer to a question behind it.
-    let taken = "Error:Line Number is not Last Line Number+1, Last Line: 8\r\nResend: 9\r\nok\r\n";
-    assert_eq!(desk.hear(taken), "");
+    assert_eq!(desk.hear(&taken(8)), "");
     assert_eq!(desk.wait(30), "N9 M114\\n");
     let there = "X:10.00 Y:20.00 Z:65.00 E:0.00 Count X:1 Y:2 Z:3\r\nok\r\n";
     assert!(desk.hear(there).starts_with("N10 G0 Z45.000"));
@@ -250,7 +260,7 @@ fn a_line_is_sent_again_when_it_is_asked_for_and_never_when_it_was_taken() {
     desk.make_ready();
     desk.pick();
     desk.wait(260);
-    desk.hear(taken);
+    desk.hear(&taken(8));
     assert_eq!(desk.wait(30), "N9 M114\\n");
     assert_eq!(desk.hear(&at(0.0)), "|\\nM410\\n");
 }
@@ -275,7 +285,7 @@ fn a_first_move_that_got_lost_is_not_sent_again_when_it_is_stale() {
     desk.now_ns += 600 * MS;
     assert_eq!(desk.wait(2), "N8 M114\\n");
     assert_eq!(desk.wait(250), "N8 M114\\n");
-    let sent = desk.hear("Error:Line Number is not Last Line Number+1, Last Line: 8\r\nResend: 9\r\nok\r\n");
+    let sent = desk.hear(&taken(8));
     assert_eq!(sent, "|\\nM410\\n");
     // It had taken it, and only its answer was lost: then it is under way.
     let mut desk = Desk::new();
@@ -283,7 +293,7 @@ fn a_first_move_that_got_lost_is_not_sent_again_when_it_is_stale() {
     desk.pick();
     desk.now_ns += 600 * MS;
     assert_eq!(desk.wait(2), "N8 M114\\n");
-    let sent = desk.hear("Error:Line Number is not Last Line Number+1, Last Line: 8\r\nResend: 9\r\nok\r\n");
+    let sent = desk.hear(&taken(8));
     assert_eq!(sent, "N9 G0 Z45.000 F6000\\n");
 }
 
@@ -414,11 +424,7 @@ fn positions_of_all_builds_are_read_and_prove_nothing_while_it_moves() {
         "X: 10.00 Y: 20.00 Z: 5.00 E: 0.00 Count X: 800 Y:1600 Z:2000\r\nok\r\n",
     ] {
         let mut desk = Desk::new();
-        desk.make_ready();
-        desk.pick();
-        desk.hear("ok\r\n");
-        desk.hear("ok\r\n");
-        assert_eq!(desk.hear("ok\r\n"), "N11 M400\\n");
+        desk.wait_for_moves();
         // Somebody else's answer.
         assert_eq!(desk.hear(at), "N12 M114\\n", "{at}");
         assert_eq!(desk.wait(200), "");

@@ -38,11 +38,7 @@ fn an_answer_too_early_for_a_quick_stop_says_that_it_was_not_taken() {
 #[test]
 fn an_ok_that_comes_before_the_wait_is_over_makes_no_lost_connection_of_the_silence_after_it() {
     let mut desk = Desk::new();
-    desk.make_ready();
-    desk.pick();
-    for _ in 0..3 {
-        desk.hear("ok\r\n");
-    }
+    desk.wait_for_moves();
     // The `ok` of M400 at once; then nothing is read, let alone answered, until the arm stands.
     assert_eq!(desk.hear("ok\r\n"), "N12 M114\\n");
     let sent = desk.wait(4000);

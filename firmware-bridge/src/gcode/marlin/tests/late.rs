@@ -2,24 +2,12 @@
 
 use super::*;
 
-/// What Marlin says to a line that it has already.
-fn taken(number: u32) -> String {
-    format!(
-        "Error:Line Number is not Last Line Number+1, Last Line: {number}\r\nResend: {}\r\nok\r\n",
-        number + 1
-    )
-}
-
 const THERE: &str = "X:10.00 Y:20.00 Z:5.00 E:0.00 Count X:1 Y:2 Z:3\r\nok\r\n";
 
 #[test]
 fn a_build_that_never_says_busy_is_waited_for_as_long_as_it_refuses_what_it_has() {
     let mut desk = Desk::new();
-    desk.make_ready();
-    desk.pick();
-    desk.hear("ok\r\n");
-    desk.hear("ok\r\n");
-    assert_eq!(desk.hear("ok\r\n"), "N11 M400\\n");
+    desk.wait_for_moves();
     assert_eq!(desk.wait(5000), "N11 M400\\n");
     assert_eq!(desk.hear(&taken(11)) + &desk.wait(30), "N12 M114\\n");
     // Of its queue of four, M400 and two questions are taken; a third question would make it deaf.
@@ -48,11 +36,7 @@ fn a_build_that_never_says_busy_is_waited_for_as_long_as_it_refuses_what_it_has(
 #[test]
 fn a_wait_is_no_delay_of_the_line() {
     let mut desk = Desk::new();
-    desk.make_ready();
-    desk.pick();
-    for _ in 0..3 {
-        desk.hear("ok\r\n");
-    }
+    desk.wait_for_moves();
     // An `ok` before M400 has waited: the question behind it is answered three seconds later.
     assert_eq!(desk.hear("ok\r\n"), "N12 M114\\n");
     // It was taken, so a copy of it is refused meanwhile.
