@@ -14,7 +14,7 @@ use pickcell::arm::Arm;
 use pickcell::camera::{Condition, Side};
 use pickcell::cell::carrier::Carrier;
 use pickcell::cell::core::{
-    Candidate, Cause, Core, Event, Found, Grasp, Note, Operator, Params, PlaceRecord, State,
+    Candidate, Cause, Core, Event, Found, Grasp, Note, Operator, Params, PlaceRecord, STOP_NS, State,
 };
 use pickcell::cell::desk::{ColdSeat, Desk, GrabSeat, Letter, Paper, Seats};
 use pickcell::frame::Frame;
@@ -184,7 +184,7 @@ fn run(seed: u64, settings: &Settings) -> (u32, u64) {
         campaign.told.notes
     );
     campaign.carrier.event(&Event::Stop, campaign.now);
-    for _ in 0..250 {
+    for _ in 0..=STOP_NS / (20 * MS) {
         if campaign.carrier.ending().is_none() {
             campaign.now = Timestamp(campaign.now.0 + 20 * MS);
             campaign.carrier.turn(campaign.now);

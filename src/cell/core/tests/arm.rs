@@ -350,14 +350,22 @@ fn stop_holds_the_arm_and_ends_when_it_says_so_or_after_a_while() {
     assert_eq!((bench.commands(), bench.state()), (vec![Command::Hold], State::Stopping));
     bench.event(Event::Recognised { pair: 2, found: found(&[OTHER]) });
     assert_eq!(bench.outcome(), Some(Err(NoPick::Stopping)));
+    let again =
+        |bench: &Bench| Bench { core: bench.core.clone(), now: bench.now, actions: vec![], handles: 0 };
+    let mut deaf = again(&bench);
     bench.arm(Report::Held { by: HeldBy::Command });
     assert_eq!(bench.actions, []);
-    let mut silent = Bench { core: bench.core.clone(), now: bench.now, actions: vec![], handles: 0 };
+    let mut silent = again(&bench);
     bench.arm(Report::Failed { id, failure: Failure::Held });
     assert_eq!(bench.actions.last(), Some(&Action::End(Ending::Done)));
     assert_eq!(bench.ends(), Some(TargetEnd::Failed(Failure::Held)));
-    silent.pass(STOP_NS);
+    // It holds and forgets to say how the target ended; it does not even say that it holds.
+    silent.pass(1000 * MS);
     assert_eq!((silent.ends(), silent.core.is_ended()), (Some(TargetEnd::Lost), true));
+    deaf.pass(STOP_NS - 1);
+    assert_eq!((deaf.ends(), deaf.core.is_ended()), (None, false));
+    deaf.pass(1);
+    assert_eq!((deaf.ends(), deaf.core.is_ended()), (Some(TargetEnd::Abandoned), true));
 }
 
 #[test]
