@@ -9,8 +9,9 @@
 //! said between a line and the begin of its motion, and while a dwell runs.)
 //!
 //! Grbl's lines carry no checksum: a byte lost or doubled on the wire may make another coordinate of a good one. The
-//! position is therefore watched while the arm moves, and a hold sent when it leaves the room between the points that were
-//! sent: a status outside, and no next one inside. (Soft limits, `$20=1`, keep it from leaving the workspace at all: switch them on.)
+//! position is therefore watched while the arm moves, and a hold sent when it leaves the room between the points that
+//! were sent: a status outside, and no next one inside. (Soft limits, `$20=1`, keep it from leaving the workspace at
+//! all: switch them on.)
 //!
 //! Sources: Grbl v1.1 interface documentation (doc/markdown/interface.md), checked against its behaviour.
 

@@ -187,7 +187,7 @@ pub struct MarlinWire {
     own_line: Option<(LineBuf, Kind)>,
     /// The answer to the question on its way.
     answered: Option<Question>,
-    /// Questions that were taken and not answered.
+    /// Questions that may be in its queue.
     questions: u8,
     /// So long the command that was acknowledged last may still be at work: a build that says `ok` before it has waited.
     held_up_until: Option<i64>,

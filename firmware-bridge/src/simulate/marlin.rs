@@ -3,11 +3,12 @@
 //! Numbered lines need a checksum and the next number, otherwise the receive buffer is thrown away and `Resend:`
 //! asks for the right one; lines without a number are taken as they come. A queue of 4 commands, a planner of 16
 //! moves; `ok` means done for commands and planned for moves. Commands that wait say `echo:busy: processing` every
-//! two seconds, where the build has `HOST_KEEPALIVE_FEATURE`. M112, M410 act when they are read, before the queue, if they have no number; reading goes on while
-//! a command waits, as long as the queue has room. For a second after M410 nothing is worked on and no move planned;
-//! a build without `EMERGENCY_PARSER` does the same once more when M410 comes out of its queue. What M114 says,
-//! `Count` included, is where the last planned move ends; a build without `HOST_KEEPALIVE_FEATURE`, one of version 1.1,
-//! says it when the arm stands. A servo keeps the firmware from reading for 300 ms.
+//! two seconds, where the build has `HOST_KEEPALIVE_FEATURE`. M112, M410 act when they are read, before the queue, if
+//! they have no number; reading goes on while a command waits, as long as the queue has room. For a second after M410
+//! nothing is worked on and no move planned; a build without `EMERGENCY_PARSER` does the same once more when M410 comes
+//! out of its queue. What M114 says, `Count` included, is where the last planned move ends; a build without
+//! `HOST_KEEPALIVE_FEATURE`, one of version 1.1, says it when the arm stands. A servo keeps the firmware from reading
+//! for 300 ms.
 
 mod uarm_3;
 
