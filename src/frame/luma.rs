@@ -218,56 +218,72 @@ impl<'a> LumaView<'a> {
 
     /// [`LumaView::sample`] at `N` places, `step` apart, the first at `from`; places are rounded to 1/256 pixel, RGB
     /// and grey bytes not to whole levels.
-    #[inline]
+    #[inline(always)]
     pub fn profile<const N: usize>(&self, from: [f32; 2], step: [f32; 2]) -> [f32; N] {
-        let place = |i: usize| [from[0] + i as f32 * step[0], from[1] + i as f32 * step[1]];
+        let last = [0, 1].map(|axis: usize| from[axis] + (N - 1) as f32 * step[axis]);
         let inside = |p: [f32; 2]| {
             p[0] >= 1.0 && p[1] >= 1.0 && p[0] < (self.width - 2) as f32 && p[1] < (self.height - 2) as f32
         };
-        let whole = N > 0 && self.width > 2 && self.height > 2 && inside(from) && inside(place(N - 1));
+        let whole = self.width >= 8 && self.height > 2 && inside(from) && inside(last);
         match self.reading {
-            Reading::Weighted([r, g, b]) if whole => {
-                let light = |p: &[u8; 6], at: usize| {
-                    i32::from(p[at]) * r + i32::from(p[at + 1]) * g + i32::from(p[at + 2]) * b
+            Reading::Weighted(weights) if whole => {
+                let light = |pixel: u32| {
+                    let channel = |c: usize| (pixel >> (8 * c) & 255) as i32 * weights[c];
+                    channel(0) + channel(1) + channel(2)
                 };
-                self.profile_inside(from, step, 3, colour::LUMA_SHIFT, |p| [light(p, 0), light(p, 3)])
+                self.profile_inside(from, step, 3, colour::LUMA_SHIFT, |eight| {
+                    [light(eight as u32), light((eight >> 24) as u32)]
+                })
             }
-            Reading::Plain { step: 1 } if whole => {
-                self.profile_inside::<N, 2>(from, step, 1, 0, |p| [i32::from(p[0]), i32::from(p[1])])
-            }
-            _ => {
-                let mut values = [0.0; N];
-                for (i, value) in values.iter_mut().enumerate() {
-                    *value = self.sample(place(i)[0], place(i)[1]);
-                }
-                values
-            }
+            Reading::Plain { step: 1 } if whole => self
+                .profile_inside(from, step, 1, 0, |eight| [(eight & 255) as i32, (eight >> 8 & 255) as i32]),
+            _ => self.profile_by_samples(from, step),
         }
     }
 
-    /// Bilinear in whole numbers; `pair` makes the luma of two neighbours, times `1 << shift`, from their bytes.
+    /// [`LumaView::profile`] of any picture, anywhere.
+    #[inline(never)]
+    fn profile_by_samples<const N: usize>(&self, from: [f32; 2], step: [f32; 2]) -> [f32; N] {
+        let mut values = [0.0; N];
+        for (i, value) in values.iter_mut().enumerate() {
+            let [x, y] = [0, 1].map(|axis: usize| from[axis] + i as f32 * step[axis]);
+            *value = self.sample(x, y);
+        }
+        values
+    }
+
+    /// All places inside. `pair` makes the luma of two neighbours, times `1 << shift`, from eight bytes. First all bytes
+    /// are read, then the places are worked out side by side.
     #[inline(always)]
-    fn profile_inside<const N: usize, const BYTES: usize>(
+    fn profile_inside<const N: usize>(
         &self,
         from: [f32; 2],
         step: [f32; 2],
         bytes_a_pixel: usize,
         shift: u32,
-        pair: impl Fn(&[u8; BYTES]) -> [i32; 2],
+        pair: impl Fn(u64) -> [i32; 2],
     ) -> [f32; N] {
         let fixed = |v: f32| (v * 65536.0) as i32;
         let ([mut x, mut y], [dx, dy]) = (from.map(fixed), step.map(fixed));
-        let mut values = [0.0; N];
-        for value in &mut values {
-            let (fx, fy) = (i64::from(x >> 8 & 0xff), i64::from(y >> 8 & 0xff));
+        let [mut upper, mut lower] = [[0u64; N]; 2];
+        let [mut right, mut below] = [[0; N]; 2];
+        for i in 0..N {
             let at = (y >> 16) as usize * self.stride + bytes_a_pixel * (x >> 16) as usize;
-            let row = |at: usize| {
-                let [a, b] = self.bytes[at..].first_chunk().map_or([0; 2], &pair);
-                i64::from(a) * 256 + fx * i64::from(b - a)
-            };
-            let (upper, lower) = (row(at), row(at + self.stride));
-            *value = (upper * 256 + fy * (lower - upper)) as f32 * (1.0 / (1u64 << (16 + shift)) as f32);
+            let eight =
+                |at: usize| self.bytes[at..].first_chunk().map_or(0, |bytes| u64::from_le_bytes(*bytes));
+            (upper[i], lower[i]) = (eight(at), eight(at + self.stride));
+            (right[i], below[i]) = (x >> 8 & 0xff, y >> 8 & 0xff);
             (x, y) = (x + dx, y + dy);
+        }
+        let mut values = [0.0; N];
+        for i in 0..N {
+            let row = |eight: u64| {
+                let [a, b] = pair(eight);
+                (a * 256 + right[i] * (b - a)) as f32
+            };
+            let (upper, lower) = (row(upper[i]), row(lower[i]));
+            let level = upper + below[i] as f32 * (1.0 / 256.0) * (lower - upper);
+            values[i] = level * (1.0 / (1u64 << (8 + shift)) as f32);
         }
         values
     }

@@ -9,6 +9,7 @@
 use super::{Graph, NodeKind};
 use crate::frame::{Frame, LumaView};
 use crate::vision::bits::BitImage;
+use crate::vision::level::Level;
 use std::ops::Range;
 
 /// Distance of the outer rays from the middle one, in half thicknesses.
@@ -18,8 +19,33 @@ const SHIFT_MAX_PX: usize = 2;
 /// Least difference of grey levels between part and background for grey values to count.
 const CONTRAST_MIN: f32 = 12.0;
 
-/// Puts all ends back.
-pub(super) fn put_back(mask: &BitImage, frame: Option<&Frame>, graph: &mut Graph) {
+/// Puts all ends back; the result does not depend on the instructions.
+pub(super) fn put_back(level: Level, mask: &BitImage, frame: Option<&Frame>, graph: &mut Graph) {
+    match level {
+        // SAFETY: `Graphs::with_level` lets only levels through that the machine has.
+        #[cfg(target_arch = "x86_64")]
+        Level::Avx512 => unsafe { put_back_avx512(mask, frame, graph) },
+        // SAFETY: as above.
+        #[cfg(target_arch = "x86_64")]
+        Level::Avx2 => unsafe { put_back_avx2(mask, frame, graph) },
+        _ => put_all_back(mask, frame, graph),
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,bmi1,bmi2,lzcnt,popcnt")]
+fn put_back_avx512(mask: &BitImage, frame: Option<&Frame>, graph: &mut Graph) {
+    put_all_back(mask, frame, graph);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,bmi1,bmi2,popcnt")]
+fn put_back_avx2(mask: &BitImage, frame: Option<&Frame>, graph: &mut Graph) {
+    put_all_back(mask, frame, graph);
+}
+
+#[inline(always)]
+fn put_all_back(mask: &BitImage, frame: Option<&Frame>, graph: &mut Graph) {
     let luma = frame.filter(|f| (f.width, f.height) == (mask.width(), mask.height())).and_then(LumaView::new);
     for e in 0..graph.edges.len() {
         for end in 0..2 {
@@ -46,6 +72,7 @@ impl Ray {
     }
 }
 
+#[inline(always)]
 fn put_back_one(mask: &BitImage, luma: Option<&LumaView>, graph: &mut Graph, e: usize, end: usize, n: usize) {
     let half = graph.edges[e].half_thickness_px.max(0.5);
     let chain = graph.edge_points(&graph.edges[e]);
@@ -117,6 +144,7 @@ fn free_length(mask: &BitImage, ray: Ray, half: f32) -> Free {
 
 /// Distance from the ray's beginning to the end of the part, whose mask ends at about `border`, and whether it was
 /// seen to end there.
+#[inline(always)]
 fn distance_to_end(
     mask: &BitImage,
     luma: Option<&LumaView>,
@@ -148,23 +176,31 @@ fn distance_to_end(
 
 /// How far to the right of the ray the middle of the part is: mean over sections a little before its end. 0 where
 /// none is as wide as the part.
+#[inline(always)]
 fn middle_aside(mask: &BitImage, luma: Option<&LumaView>, ray: Ray, distance: f32, half: f32) -> f32 {
     let (mut sum, mut count) = (0.0, 0.0);
     for depth in [1.0, 1.8, 2.6] {
         let from = ray.at(distance - depth * half, 0.0);
         let [dx, dy] = ray.direction;
-        let sides = [[-dy, dx], [dy, -dx]].map(|direction| {
-            let aside = Ray { from, direction };
-            let border = border_in_mask(mask, aside, (half - 2.0).max(0.0), 1.5 * half + 2.0)?;
-            Some(luma.map_or(border, |luma| border_in_grey::<2>(luma, aside, border)))
-        });
-        let [Some(right), Some(left)] = sides else { continue };
+        let [right, left] = [Ray { from, direction: [-dy, dx] }, Ray { from, direction: [dy, -dx] }];
+        let Some(right) = border_aside(mask, luma, right, half) else { continue };
+        let Some(left) = border_aside(mask, luma, left, half) else { continue };
         if (0.6..1.5).contains(&((left + right) / (2.0 * half))) {
             sum += (right - left) / 2.0;
             count += 1.0;
         }
     }
     if count > 0.0 { sum / count } else { 0.0 }
+}
+
+/// Distance to the border on one side of the part, half of it as thick as given, from about its middle.
+#[inline(always)]
+fn border_aside(mask: &BitImage, luma: Option<&LumaView>, aside: Ray, half: f32) -> Option<f32> {
+    let border = border_in_mask(mask, aside, (half - 2.0).max(0.0), 1.5 * half + 2.0)?;
+    Some(match luma {
+        Some(luma) => border_in_grey::<2>(luma, aside, border),
+        None => border,
+    })
 }
 
 /// Pixels of a mask along a ray, at equal steps.
@@ -207,6 +243,7 @@ fn border_in_mask(mask: &BitImage, ray: Ray, begin_px: f32, reach_px: f32) -> Op
 
 /// The mask's border refined: where grey values cross half way between the part, `DEPTH` pixels and one more before
 /// the border, and what lies two and three pixels behind it.
+#[inline(always)]
 fn border_in_grey<const DEPTH: usize>(luma: &LumaView, ray: Ray, border: f32) -> f32 {
     let zero = DEPTH + 1;
     let grey: [f32; 8] = luma.profile(ray.at(border - zero as f32, 0.0), ray.direction);
@@ -236,23 +273,35 @@ enum Fading {
 }
 
 /// Follows the difference between the ray and the floor on both sides of it beyond the mask's border.
+#[inline(always)]
 fn fading(luma: &LumaView, ray: Ray, border: f32, half: f32) -> Fading {
     let aside = 2.2 * half + 2.0;
-    let signal = |along: f32| {
-        let [dx, dy] = ray.direction;
-        let [left, here, right] = luma.profile(ray.at(along, -aside), [-dy * aside, dx * aside]);
-        here - left.max(right)
-    };
-    let (inside, ahead) = (signal(border - 3.0), signal(border + 3.0));
+    let (inside, ahead) = (signal(luma, ray, border - 3.0, aside), signal(luma, ray, border + 3.0, aside));
     if ahead < 0.4 * inside || ahead < CONTRAST_MIN {
-        return Fading::No;
+        Fading::No
+    } else {
+        faded(luma, ray, border, half, aside)
     }
+}
+
+/// [`fading`] of a part that does.
+#[cold]
+#[inline(never)]
+fn faded(luma: &LumaView, ray: Ray, border: f32, half: f32, aside: f32) -> Fading {
     for step in 1..(10.0 * half) as i32 {
         let along = border + step as f32;
-        let (before, now) = (signal(along - 3.0), signal(along));
+        let (before, now) = (signal(luma, ray, along - 3.0, aside), signal(luma, ray, along, aside));
         if now < 0.5 * before {
             return Fading::EndsAt(along - 0.5);
         }
     }
     Fading::GoesOn
+}
+
+/// By how much it is brighter at a place along the ray than so far aside of it.
+#[inline(always)]
+fn signal(luma: &LumaView, ray: Ray, along: f32, aside: f32) -> f32 {
+    let [dx, dy] = ray.direction;
+    let [left, here, right] = luma.profile(ray.at(along, -aside), [-dy * aside, dx * aside]);
+    here - left.max(right)
 }

@@ -246,7 +246,7 @@ impl Graphs {
         self.pruned.run(mask, &self.pixels, &self.traced);
         self.pruned.write(&self.params, mask, &self.pixels, &self.traced, graph);
         section::measure(mask, graph);
-        ends::put_back(mask, frame, graph);
+        ends::put_back(self.level, mask, frame, graph);
         finish(graph);
         Ok(())
     }

@@ -173,6 +173,7 @@ fn grey_values_put_ends_to_a_fraction_of_a_pixel() {
         let mask = BitImage::from_grey(width, height, &grey);
         let (mut skeleton, mut graph) = (BitImage::new(width, height), Graph::default());
         Thin::new(thin::Params::default(), width, height).run(&mask, &mut skeleton);
+        let mut first: Option<Graph> = None;
         for &level in Level::available() {
             Graphs::with_level(Params::default(), width, height, level)
                 .run(&skeleton, &mask, Some(&frame), &mut graph)
@@ -185,6 +186,7 @@ fn grey_values_put_ends_to_a_fraction_of_a_pixel() {
                 assert!((along.abs() - 60.0).abs() < 0.35, "{along} along at {degrees} degrees");
                 assert!(across.abs() < 0.35, "{across} across at {degrees} degrees");
             }
+            assert_eq!(first.get_or_insert_with(|| graph.clone()), &graph, "{level:?}");
         }
     }
 }

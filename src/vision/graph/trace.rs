@@ -21,8 +21,9 @@ pub struct RawEdge {
 pub struct Traced {
     /// The chains.
     pub edges: Vec<RawEdge>,
-    /// Their pixels.
-    pub points: Vec<[u16; 2]>,
+    /// Their pixels, the first `count`.
+    pub points: Box<[[u16; 2]]>,
+    count: usize,
     /// Directions in which chains from a member of a node were walked, by member.
     walked: Vec<u8>,
     /// Pixels not yet walked over; only where there are loops.
@@ -34,7 +35,8 @@ impl Traced {
     pub(super) fn new(params: &Params, width: usize, height: usize) -> Self {
         Self {
             edges: Vec::with_capacity(params.edges_max as usize),
-            points: Vec::with_capacity(params.points_max as usize),
+            points: vec![[0; 2]; params.points_max as usize].into(),
+            count: 0,
             walked: Vec::with_capacity(params.points_max as usize),
             left: BitImage::new(width, height),
             limits: *params,
@@ -49,7 +51,7 @@ impl Traced {
 
     pub(super) fn run(&mut self, skeleton: &BitImage, pixels: &Pixels) -> Result<(), Refusal> {
         self.edges.clear();
-        self.points.clear();
+        self.count = 0;
         self.walked.clear();
         self.walked.resize(pixels.members.len(), 0);
         let mut on_chains = 0;
@@ -77,16 +79,16 @@ impl Traced {
             return Ok(0);
         }
         let from = pixels.members[member];
-        let begin = self.points.len();
+        let begin = self.count;
         self.push(from)?;
         let (mut walk, mut direction) = (Walk::new(from), direction);
         let mut corners = 0;
         let arrived = loop {
-            let straight = self.points.len();
+            let straight = self.count;
             let onward = self.go_straight(skeleton, &mut walk, direction)?;
-            corners += (self.points.len() - straight) * (direction & 1);
+            corners += (self.count - straight) * (direction & 1);
             // Neither an end nor a junction: exactly one way on.
-            if onward.is_power_of_two() && self.points.len() < begin + 2 + pixels.chain_pixels {
+            if onward.is_power_of_two() && self.count < begin + 2 + pixels.chain_pixels {
                 direction = onward.trailing_zeros() as usize;
                 continue;
             }
@@ -96,9 +98,9 @@ impl Traced {
         let Some(arrived) = arrived else { return Ok(0) };
         self.walked[arrived as usize] |= 1 << (direction ^ 4);
         let nodes = [member, arrived as usize].map(|m| pixels.node_of[m]);
-        let between = self.points.len() - begin - 2;
+        let between = self.count - begin - 2;
         if between == 0 && nodes[0] == nodes[1] {
-            self.points.truncate(begin);
+            self.count = begin;
             return Ok(0);
         }
         self.close(nodes, begin, corners)?;
@@ -110,20 +112,32 @@ impl Traced {
     #[inline]
     fn go_straight(&mut self, skeleton: &BitImage, walk: &mut Walk, direction: usize) -> Result<u8, Refusal> {
         let (same, back) = (1 << direction, 1 << (direction ^ 4));
-        loop {
-            walk.step(direction);
-            self.push(walk.pixel())?;
-            let onward = walk.branches(skeleton) & !back;
-            if onward != same {
-                return Ok(onward);
+        let (dx, dy) = DIRECTIONS[direction & 7];
+        let (words, mut here) = (skeleton.words(), walk.word(skeleton));
+        let Some(room) = self.points.get_mut(self.count..) else { return Err(self.too_many()) };
+        for (taken, place) in room.iter_mut().enumerate() {
+            (walk.x, walk.y) = (walk.x + dx, walk.y + dy);
+            here = here.wrapping_add_signed(dy as isize);
+            *place = walk.pixel();
+            let onward = match walk.x & 63 {
+                0 | 63 => {
+                    here = walk.word(skeleton);
+                    branches(skeleton, walk.x, walk.y)
+                }
+                bit => branches_in(words, here, bit),
+            };
+            if onward & !back != same {
+                self.count += taken + 1;
+                return Ok(onward & !back);
             }
         }
+        Err(self.too_many())
     }
 
     /// Walks around the loops without nodes.
     fn loops(&mut self, skeleton: &BitImage, pixels: &Pixels) -> Result<(), Refusal> {
         self.left.copy_from(skeleton);
-        for &[x, y] in self.points.iter().chain(&pixels.members) {
+        for &[x, y] in self.points[..self.count].iter().chain(&pixels.members) {
             self.left.set(x as usize, y as usize, false);
         }
         for s in 0..skeleton.strips() {
@@ -145,7 +159,7 @@ impl Traced {
         if onward == 0 {
             return Ok(());
         }
-        let (begin, mut corners) = (self.points.len(), 0);
+        let (begin, mut corners) = (self.count, 0);
         loop {
             self.push(walk.pixel())?;
             let direction = onward.trailing_zeros() as usize & 7;
@@ -161,12 +175,15 @@ impl Traced {
         self.close([NONE, NONE], begin, corners)
     }
 
+    fn too_many(&self) -> Refusal {
+        Refusal::TooManyPoints { points_max: self.limits.points_max }
+    }
+
     #[inline]
     fn push(&mut self, at: [u16; 2]) -> Result<(), Refusal> {
-        if self.points.len() >= self.limits.points_max as usize {
-            return Err(Refusal::TooManyPoints { points_max: self.limits.points_max });
-        }
-        self.points.push(at);
+        let Some(place) = self.points.get_mut(self.count) else { return Err(self.too_many()) };
+        *place = at;
+        self.count += 1;
         Ok(())
     }
 
@@ -174,9 +191,9 @@ impl Traced {
         if self.edges.len() >= self.limits.edges_max as usize {
             return Err(Refusal::TooManyEdges { edges_max: self.limits.edges_max });
         }
-        let steps = self.points.len() - begin - (nodes[0] != NONE) as usize;
+        let steps = self.count - begin - (nodes[0] != NONE) as usize;
         let length_px = steps as f32 + corners as f32 * (std::f32::consts::SQRT_2 - 1.0);
-        self.edges.push(RawEdge { nodes, points: begin as u32..self.points.len() as u32, length_px });
+        self.edges.push(RawEdge { nodes, points: begin as u32..self.count as u32, length_px });
         Ok(())
     }
 }
@@ -205,18 +222,27 @@ impl Walk {
         self.y += dy;
     }
 
-    /// [`branches`] here, by three words and a table.
+    /// Index of the word that it is in.
+    #[inline]
+    fn word(self, skeleton: &BitImage) -> usize {
+        self.x as usize / 64 * skeleton.strip_stride() + PAD_ROWS + self.y as usize
+    }
+
+    /// [`branches`] here.
     #[inline]
     fn branches(self, skeleton: &BitImage) -> u8 {
-        let (stride, x, y) = (skeleton.strip_stride(), self.x as usize, self.y as usize);
-        let (strip, bit) = (x / 64, x % 64);
-        if bit == 0 || bit == 63 {
-            return branches(skeleton, self.x, self.y);
+        match self.x & 63 {
+            0 | 63 => branches(skeleton, self.x, self.y),
+            bit => branches_in(skeleton.words(), self.word(skeleton), bit),
         }
-        // The rows above and below the picture are padding.
-        let middle = strip * stride + PAD_ROWS + y;
-        let rows = &skeleton.words()[middle - 1..middle + 2];
-        let three = |row: u64| (row >> (bit - 1)) as usize & 7;
-        BRANCHES[three(rows[0]) | three(rows[1]) << 3 | three(rows[2]) << 6]
     }
+}
+
+/// [`branches`] of a bit, neither the first nor the last of its word, by three words and a table.
+#[inline(always)]
+fn branches_in(words: &[u64], here: usize, bit: i32) -> u8 {
+    // The rows above and below the picture are padding.
+    let rows = &words[here - 1..here + 2];
+    let three = |row: u64| (row >> (bit - 1)) as usize & 7;
+    BRANCHES[three(rows[0]) | three(rows[1]) << 3 | three(rows[2]) << 6]
 }
