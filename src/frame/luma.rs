@@ -1,6 +1,7 @@
 //! Reading the luma of single pixels and between pixels, with format and stride looked up once.
 
 use super::{ColourEncoding, Frame, PixelFormat, colour};
+use crate::vision::level::Level;
 
 /// The luma of one frame, for measuring edges: format, stride and colour conversion are looked up once, so that
 /// a sample between four pixels takes a few nanoseconds.
@@ -11,6 +12,7 @@ pub struct LumaView<'a> {
     height: usize,
     stride: usize,
     reading: Reading,
+    level: Level,
 }
 
 #[derive(Clone, Copy)]
@@ -56,7 +58,14 @@ impl<'a> LumaView<'a> {
                 }
             }
         };
-        Some(Self { bytes: &frame.bytes, width: w, height: h, stride: frame.stride_bytes, reading })
+        Some(Self {
+            bytes: &frame.bytes,
+            width: w,
+            height: h,
+            stride: frame.stride_bytes,
+            reading,
+            level: Level::detect(),
+        })
     }
 
     /// Picture width in pixels.
@@ -177,18 +186,57 @@ impl<'a> LumaView<'a> {
 
     /// [`LumaView::add_line`] of a grey picture, all inside; places are rounded to 1/256 pixel.
     fn add_each_plain(&self, from: [f64; 2], step: [f64; 2], sums: &mut [f32]) {
+        match self.level {
+            // SAFETY: `Level::detect` names only what the machine has.
+            #[cfg(target_arch = "x86_64")]
+            Level::Avx512 => unsafe { self.add_each_plain_avx512(from, step, sums) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            Level::Avx2 => unsafe { self.add_each_plain_avx2(from, step, sums) },
+            _ => self.add_blocks(from, step, sums),
+        }
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,bmi1,bmi2")]
+    fn add_each_plain_avx512(&self, from: [f64; 2], step: [f64; 2], sums: &mut [f32]) {
+        self.add_blocks(from, step, sums);
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,bmi1,bmi2")]
+    fn add_each_plain_avx2(&self, from: [f64; 2], step: [f64; 2], sums: &mut [f32]) {
+        self.add_blocks(from, step, sums);
+    }
+
+    /// First all bytes of a block are read, then its places are worked out side by side.
+    #[inline(always)]
+    fn add_blocks(&self, from: [f64; 2], step: [f64; 2], sums: &mut [f32]) {
+        const BLOCK: usize = 16;
         let fixed = |v: f64| (v * 65536.0) as i32;
         let ([mut x, mut y], [dx, dy]) = (from.map(fixed), step.map(fixed));
-        for sum in sums {
-            let (fx, fy) = (x >> 8 & 0xff, y >> 8 & 0xff);
-            let at = (y >> 16) as usize * self.stride + (x >> 16) as usize;
-            let row = |at: usize| {
-                let [a, b] = self.bytes[at..].first_chunk().map_or([0; 2], |p: &[u8; 2]| p.map(i32::from));
-                (a << 8) + fx * (b - a)
-            };
-            let (upper, lower) = (row(at), row(at + self.stride));
-            *sum += ((upper << 8) + fy * (lower - upper)) as f32 * (1.0 / 65536.0);
-            (x, y) = (x + dx, y + dy);
+        for sums in sums.chunks_mut(BLOCK) {
+            let [mut upper, mut lower] = [[0u16; BLOCK]; 2];
+            let (x0, y0) = (x, y);
+            for i in 0..sums.len() {
+                let at = (y >> 16) as usize * self.stride + (x >> 16) as usize;
+                let two =
+                    |at: usize| self.bytes[at..].first_chunk().map_or(0, |two| u16::from_le_bytes(*two));
+                (upper[i], lower[i]) = (two(at), two(at + self.stride));
+                (x, y) = (x + dx, y + dy);
+            }
+            let mut levels = [0.0f32; BLOCK];
+            for i in 0..BLOCK {
+                let share = |from: i32, step: i32| from.wrapping_add(step.wrapping_mul(i as i32)) >> 8 & 0xff;
+                let (right, below) = (share(x0, dx), share(y0, dy));
+                let row = |two: u16| {
+                    let (a, b) = (i32::from(two & 0xff), i32::from(two >> 8));
+                    (a << 8) + right * (b - a)
+                };
+                let (upper, lower) = (row(upper[i]), row(lower[i]));
+                levels[i] = ((upper << 8) + below * (lower - upper)) as f32 * (1.0 / 65536.0);
+            }
+            sums.iter_mut().zip(levels).for_each(|(sum, level)| *sum += level);
         }
     }
 
