@@ -2,12 +2,14 @@
 
 use super::baseline::Fault;
 
-/// Codes up to this length are looked up at once.
-const FAST_BITS: u32 = 11;
+/// Codes up to this length are looked up at once: of differences, and of coefficients. More would leave the
+/// first-level cache no room for all tables of a picture.
+const DC_BITS: u32 = 8;
+const AC_BITS: u32 = 10;
 
 /// Length of an [`Entry`]: of the 57 bits that a refill gives, two of them (or two pairs) leave enough for another
 /// look.
-const LENGTH_MAX: u32 = (57 - FAST_BITS) / 2;
+const LENGTH_MAX: u32 = (57 - AC_BITS) / 2;
 
 /// Step of an [`Entry`] at the end of a block: beyond it.
 const END: u32 = 64;
@@ -21,6 +23,16 @@ pub(super) enum Class {
     Dc,
     /// Other coefficients; a symbol is a run of zeros and a size.
     Ac,
+}
+
+impl Class {
+    /// Codes up to this length are looked up at once.
+    fn fast_bits(self) -> u32 {
+        match self {
+            Class::Dc => DC_BITS,
+            Class::Ac => AC_BITS,
+        }
+    }
 }
 
 /// What the next bits mean: from the low end a byte each for the length of code and coefficient, the step from the
@@ -160,10 +172,10 @@ pub(super) fn signed(bits: u64, beyond: u32) -> i32 {
 /// One Huffman table.
 #[derive(Clone, Debug)]
 pub(super) struct Huffman {
-    /// By the next bits.
-    entries: Box<[Entry; 1 << FAST_BITS]>,
+    /// By the next bits, see [`Class::fast_bits`].
+    entries: Box<[Entry; 1 << AC_BITS]>,
     /// By the next bits, the same with what comes behind; only of [`Class::Ac`].
-    pairs: Box<[Pair; 1 << FAST_BITS]>,
+    pairs: Box<[Pair; 1 << AC_BITS]>,
     /// What was read, if it was good: number of codes by length.
     counts: Option<[u8; 16]>,
     /// By length: beyond the last code of it, as if all codes had 16 bits.
@@ -176,8 +188,8 @@ pub(super) struct Huffman {
 impl Huffman {
     /// A table without codes.
     pub(super) fn empty() -> Self {
-        let entries = Box::new([Entry::UNKNOWN; 1 << FAST_BITS]);
-        let pairs = Box::new([Pair::new(Entry::UNKNOWN, None); 1 << FAST_BITS]);
+        let entries = Box::new([Entry::UNKNOWN; 1 << AC_BITS]);
+        let pairs = Box::new([Pair::new(Entry::UNKNOWN, None); 1 << AC_BITS]);
         Self { entries, pairs, counts: None, beyond: [0; 17], offset: [0; 17], symbols: [0; 256] }
     }
 
@@ -187,6 +199,7 @@ impl Huffman {
             // Pictures of a camera have the same tables.
             return Ok(());
         }
+        let fast_bits = class.fast_bits();
         self.counts = None;
         self.entries.fill(Entry::UNKNOWN);
         self.symbols.fill(0);
@@ -199,9 +212,9 @@ impl Huffman {
                 if code >= 1 << length {
                     return Err(Fault::Damaged("Huffman table with more codes than there can be"));
                 }
-                if length <= FAST_BITS {
-                    let begin = (code << (FAST_BITS - length)) as usize;
-                    self.entries[begin..begin + (1 << (FAST_BITS - length))]
+                if length <= fast_bits {
+                    let begin = (code << (fast_bits - length)) as usize;
+                    self.entries[begin..begin + (1 << (fast_bits - length))]
                         .fill(Entry::new(class, symbol, length));
                 }
                 code += 1;
@@ -220,8 +233,8 @@ impl Huffman {
     /// Makes the pairs from the entries.
     fn join(&mut self) {
         for (next, (pair, &first)) in self.pairs.iter_mut().zip(self.entries.iter()).enumerate() {
-            let known = FAST_BITS.saturating_sub(first.length());
-            let second = self.entries[next << (FAST_BITS - known) & ((1 << FAST_BITS) - 1)];
+            let known = AC_BITS.saturating_sub(first.length());
+            let second = self.entries[next << (AC_BITS - known) & ((1 << AC_BITS) - 1)];
             let fits = !first.is_beyond()
                 && !second.is_beyond()
                 && second.code_length() <= known
@@ -230,16 +243,16 @@ impl Huffman {
         }
     }
 
-    /// What stands at the top of `window`.
+    /// The difference at the top of `window`.
     #[inline(always)]
     pub(super) fn look(&self, window: u64) -> Entry {
-        self.entries[(window >> (64 - FAST_BITS)) as usize]
+        self.entries[(window >> (64 - DC_BITS)) as usize]
     }
 
     /// The coefficients at the top of `window`.
     #[inline(always)]
     pub(super) fn look_twice(&self, window: u64) -> Pair {
-        self.pairs[(window >> (64 - FAST_BITS)) as usize]
+        self.pairs[(window >> (64 - AC_BITS)) as usize]
     }
 
     /// The symbol at the top of `window` and the length of its code, whatever they are.
@@ -294,10 +307,13 @@ pub(super) mod tests {
             let symbols = &symbols[..counts.iter().map(|&n| usize::from(n)).sum()];
             let mut table = Huffman::empty();
             prop_assert_eq!(table.read(class, &counts, symbols), Ok(()));
-            let entry = table.look(window);
+            let entry = table.entries[(window >> (64 - class.fast_bits())) as usize];
+            if class == Class::Dc {
+                prop_assert_eq!(table.look(window).0, entry.0);
+            }
             match table.symbol(window) {
                 Ok((symbol, length)) if !entry.is_rare() => {
-                    prop_assert!(length <= FAST_BITS);
+                    prop_assert!(length <= class.fast_bits());
                     let (run, size) = (usize::from(symbol >> 4), u32::from(symbol & 15));
                     prop_assert_eq!(entry.length(), length + size);
                     prop_assert_eq!(entry.behind(window), window << (length + size));
@@ -313,7 +329,7 @@ pub(super) mod tests {
                         Class::Dc => symbol > 15,
                         Class::Ac => symbol == 0xf0,
                     };
-                    let long = length > FAST_BITS || length + u32::from(symbol & 15) > LENGTH_MAX;
+                    let long = length > class.fast_bits() || length + u32::from(symbol & 15) > LENGTH_MAX;
                     prop_assert!(long || of_class);
                 }
                 Err(_) => prop_assert!(entry.is_rare()),
@@ -330,11 +346,12 @@ pub(super) mod tests {
             let symbols = &symbols[..counts.iter().map(|&n| usize::from(n)).sum()];
             let mut table = Huffman::empty();
             prop_assert_eq!(table.read(Class::Ac, &counts, symbols), Ok(()));
-            let (first, pair) = (table.look(window), table.look_twice(window));
+            let look = |window: u64| table.entries[(window >> (64 - AC_BITS)) as usize];
+            let (first, pair) = (look(window), table.look_twice(window));
             prop_assert_eq!(pair.is_end(), first.step() == END as usize);
             prop_assert_eq!(pair.steps().0, first.step());
             prop_assert!(pair.length() <= LENGTH_MAX);
-            let second = table.look(first.behind(window));
+            let second = look(first.behind(window));
             let (last, step) = match pair.steps().1 {
                 0 => (first, first.step()),
                 step => (second, first.step() + step),
