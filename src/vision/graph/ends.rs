@@ -276,8 +276,8 @@ enum Fading {
 #[inline(always)]
 fn fading(luma: &LumaView, ray: Ray, border: f32, half: f32) -> Fading {
     let aside = 2.2 * half + 2.0;
-    let (inside, ahead) = (signal(luma, ray, border - 3.0, aside), signal(luma, ray, border + 3.0, aside));
-    if ahead < 0.4 * inside || ahead < CONTRAST_MIN {
+    let ahead = signal(luma, ray, border + 3.0, aside);
+    if ahead < CONTRAST_MIN || ahead < 0.4 * signal(luma, ray, border - 3.0, aside) {
         Fading::No
     } else {
         faded(luma, ray, border, half, aside)

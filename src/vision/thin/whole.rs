@@ -5,7 +5,7 @@
 //! second is taken, from there to where it meets the first.
 
 use super::{Algorithm, Params, Thin};
-use crate::vision::bits::BitImage;
+use crate::vision::bits::{BitImage, PAD_ROWS};
 use crate::vision::level::Level;
 
 /// Rows of a block.
@@ -165,7 +165,7 @@ impl Blocks {
 
     fn find(&mut self, skeleton: &BitImage) {
         for (strip, words) in self.skeleton.chunks_exact_mut(self.blocks).enumerate() {
-            for (word, rows) in words.iter_mut().zip(skeleton.strip(strip).chunks(BLOCK_ROWS)) {
+            for (word, rows) in words.iter_mut().zip(blocks(skeleton, strip)) {
                 *word = any(rows);
             }
         }
@@ -174,7 +174,7 @@ impl Blocks {
     /// Gives strip, block and those columns that have object pixels far from all skeleton, where there are any.
     fn for_lost(&self, mask: &BitImage, mut found: impl FnMut(usize, usize, u64)) {
         for strip in 0..mask.strips() {
-            for (block, rows) in mask.strip(strip).chunks(BLOCK_ROWS).enumerate() {
+            for (block, rows) in blocks(mask, strip).iter().enumerate() {
                 let object = any(rows);
                 if object != 0 {
                     let columns = self.far(object, strip, block);
@@ -211,6 +211,12 @@ impl Blocks {
         }
         far & !((from_west >> 64) as u64 | from_east as u64)
     }
+}
+
+/// The blocks of rows of a strip; the last one may end in padding.
+fn blocks(picture: &BitImage, strip: usize) -> &[[u64; BLOCK_ROWS]] {
+    let stride = picture.strip_stride();
+    picture.words()[strip * stride..][PAD_ROWS..stride - PAD_ROWS].as_chunks().0
 }
 
 fn any(words: &[u64]) -> u64 {
