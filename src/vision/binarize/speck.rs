@@ -185,13 +185,16 @@ fn top_ends(bits: &BitImage, s: usize, y: usize) -> [u64; ROWS] {
     let left = if s == 0 { [0; ROWS] } else { rows(s - 1, 1) };
     let (right, next) =
         if s + 1 == bits.strips() { ([0; ROWS], [0; ROWS]) } else { (rows(s + 1, 1), rows(s + 1, 0)) };
-    std::array::from_fn(|i| {
+    // A loop: the closure of `from_fn` would not be compiled for the instructions of who calls this.
+    let mut ends = [0; ROWS];
+    for i in 0..ROWS {
         let above = above[i] | above[i] << 1 | above[i] >> 1 | left[i] >> 63 | right[i] << 63;
         // A carry runs from what touches to the end of its run.
         let seeds = above & row[i];
         let touched = (row[i].wrapping_add(seeds) ^ row[i]) | seeds;
-        row[i] & !(row[i] >> 1 | next[i] << 63) & !touched
-    })
+        ends[i] = row[i] & !(row[i] >> 1 | next[i] << 63) & !touched;
+    }
+    ends
 }
 
 /// Following an object a pixel at a time.
