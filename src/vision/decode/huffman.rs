@@ -258,7 +258,9 @@ impl Huffman {
     /// The symbol at the top of `window` and the length of its code, whatever they are.
     pub(super) fn symbol(&self, window: u64) -> Result<(u8, u32), Fault> {
         let next = (window >> 48) as u32;
-        for length in 1..=16 {
+        // Most that are asked for are too long to be looked up.
+        let least = if next < self.beyond[AC_BITS as usize] { 1 } else { AC_BITS + 1 };
+        for length in least..=16 {
             if next < self.beyond[length as usize] {
                 let place = (next >> (16 - length)) as i32 + self.offset[length as usize];
                 let symbol = self.symbols.get(place as usize).ok_or(Fault::Damaged("bad Huffman code"))?;
