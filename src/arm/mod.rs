@@ -31,9 +31,15 @@ impl Arm {
         Ok(Arm::Linked(Box::new(Link::open(settings, session_seed)?)))
     }
 
-    /// The arm of a recorded session, which answers the n-th target as it answered its n-th.
-    pub fn recorded(settings: &Settings, conversation: &[Said], session_seed: u32) -> Self {
-        Arm::Linked(Box::new(Link::recorded(settings, conversation, session_seed)))
+    /// The arm of a recorded session, which connects so long after it is first asked and answers the n-th target as it
+    /// answered its n-th.
+    pub fn recorded(
+        settings: &Settings,
+        conversation: &[Said],
+        session_seed: u32,
+        connects_after_ns: i64,
+    ) -> Self {
+        Arm::Linked(Box::new(Link::recorded(settings, conversation, session_seed, connects_after_ns)))
     }
 
     /// Makes a simulated arm move so many times as fast as an ordinary one; others stay as they are.

@@ -195,7 +195,8 @@ pub struct Session {
     pub pairs: Vec<RecordedPair>,
     /// What cell and arm said to each other, in order; empty where nothing was recorded of it.
     pub arm: Vec<Said>,
-    /// From the first word of the arm to the first picture, where both are recorded, ns.
+    /// From the first word of the arm to the first picture, where both are recorded, ns; less than nought where the arm
+    /// connected after that.
     pub arm_lead_ns: Option<i64>,
     /// What a recording says about its pairs.
     pub results: Results,

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use firmware_bridge::link::{Said, What};
+use firmware_bridge::message::Report;
 use mcap::records::Record;
 use prost::Message;
 
@@ -105,14 +106,7 @@ pub(super) fn open(path: &Path) -> Result<Session, RecordingError> {
     let file = Arc::new(RecordingFile::open(path)?);
     let (index, pairs, seen_hz, broken_at) = index(&file)?;
     let rate_hz = index.rate_hz.unwrap_or(seen_hz);
-    let mut after = 0;
-    let mut previous_ns = pairs.first().map_or(0, |(wall_ns, _)| *wall_ns);
-    let first_ns = previous_ns;
-    let mut after_ns = |wall_ns: i64| {
-        after += wall_ns.saturating_sub(previous_ns).clamp(0, PAUSE_NS_MAX);
-        previous_ns = wall_ns;
-        after
-    };
+    let mut after_ns = without_pauses(pairs.first().map_or(0, |(wall_ns, _)| *wall_ns));
     let picture = |seen: Seen| {
         let channel = &index.channels[&seen.channel];
         RecordedPicture::Message {
@@ -124,8 +118,7 @@ pub(super) fn open(path: &Path) -> Result<Session, RecordingError> {
         }
     };
     let known = |pictures: &[Option<Seen>; 2]| pictures[0].and_then(|left| index.known.get(&left.wall_ns));
-    let arm_lead_ns =
-        index.arm.first().map(|said| first_ns.saturating_sub(said.at_ns).clamp(0, PAUSE_NS_MAX));
+    let arm_lead_ns = arm_lead_ns(&index.arm, &pairs);
     let mut pair = |(i, (wall_ns, pictures)): (usize, Moment)| RecordedPair {
         name: pictures[0]
             .and_then(|left| index.names.get(&left.wall_ns).cloned())
@@ -145,6 +138,32 @@ pub(super) fn open(path: &Path) -> Result<Session, RecordingError> {
         results: index.results,
         broken_at,
     })
+}
+
+/// How long after the first of them moments are that come in order, with pauses cut short; ns.
+fn without_pauses(first_ns: i64) -> impl FnMut(i64) -> i64 {
+    let (mut after, mut previous_ns) = (0, first_ns);
+    move |wall_ns| {
+        after += wall_ns.saturating_sub(previous_ns).clamp(0, PAUSE_NS_MAX);
+        previous_ns = wall_ns;
+        after
+    }
+}
+
+/// See [`Session::arm_lead_ns`].
+fn arm_lead_ns(arm: &[Said], pairs: &[Moment]) -> Option<i64> {
+    let (first_ns, first_word_ns) = (pairs.first()?.0, arm.first()?.at_ns);
+    // In a piece of a recording the arm has connected long before.
+    let connected_ns = match arm.iter().find(|said| matches!(said.what, What::Report(_))) {
+        Some(Said { what: What::Report(Report::Connected { .. }), at_ns }) => *at_ns,
+        _ => first_ns.min(first_word_ns),
+    };
+    if connected_ns <= first_ns {
+        return Some(first_ns.saturating_sub(first_word_ns).clamp(0, PAUSE_NS_MAX));
+    }
+    let mut after_ns = without_pauses(first_ns);
+    let before = pairs.iter().map(|pair| pair.0).take_while(|seen_ns| *seen_ns < connected_ns);
+    before.chain([connected_ns]).map(&mut after_ns).last().map(|late_ns| -late_ns)
 }
 
 impl Index {
@@ -307,5 +326,33 @@ fn pair_up(left: &[Seen], right: &[Seen], window_ns: i64) -> Vec<Moment> {
         let r = rights.next_if(|_| together || later_ns <= 0);
         let wall_ns = l.into_iter().chain(r).map(|seen| seen.wall_ns).min().unwrap_or(0);
         pairs.push((wall_ns, [l, r]));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use firmware_bridge::message::HeldBy;
+
+    use super::*;
+
+    #[test]
+    fn an_arm_that_connected_after_the_first_picture_does_so_again() {
+        const S: i64 = 1_000_000_000;
+        let pairs = [10, 11, 12, 1000].map(|seen_s| (seen_s * S, [None; 2]));
+        let lead_s = |said: &[(i64, Report)]| {
+            let said: Vec<_> = said
+                .iter()
+                .map(|&(at_s, report)| Said { at_ns: at_s * S, what: What::Report(report) })
+                .collect();
+            arm_lead_ns(&said, &pairs).map(|ns| ns / S)
+        };
+        let connected = Report::Connected { session: 1, held_by: HeldBy::Start };
+        assert_eq!(lead_s(&[(7, connected), (13, Report::ClearOfView)]), Some(3));
+        assert_eq!(lead_s(&[(13, connected)]), Some(-3));
+        // The pause before the last pair counts as the longest one.
+        assert_eq!(lead_s(&[(1001, connected)]), Some(-13));
+        // A piece that begins while the arm works.
+        assert_eq!(lead_s(&[(13, Report::ClearOfView), (14, connected)]), Some(0));
+        assert_eq!(lead_s(&[]), None);
     }
 }

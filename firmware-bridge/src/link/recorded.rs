@@ -241,12 +241,16 @@ pub struct RecordedLink {
     not_before_ns: i64,
     /// From ready to clear of the view, where the arm does not say the latter.
     clear_dwell_ns: i64,
+    /// So long after it is first asked it connects; when that is, once it was asked and until it has.
+    connects_after_ns: i64,
+    connects_at_ns: Option<i64>,
     started: bool,
 }
 
 impl RecordedLink {
-    /// An arm that has just been switched on; `session_seed` decides the number of its first session.
-    pub fn new(settings: &Settings, answers: Answers, session_seed: u32) -> Self {
+    /// An arm that has just been switched on, and connects so long after it is first asked; `session_seed` decides the number
+    /// of its first session.
+    pub fn new(settings: &Settings, answers: Answers, session_seed: u32, connects_after_ns: i64) -> Self {
         let longest = answers.picks.iter().chain(&answers.releases).map(Vec::len).max().unwrap_or(0);
         Self {
             gate: Gate::new(settings),
@@ -262,6 +266,8 @@ impl RecordedLink {
             last: None,
             not_before_ns: i64::MAX,
             clear_dwell_ns: i64::from(settings.arm.clear_dwell_ms) * 1_000_000,
+            connects_after_ns,
+            connects_at_ns: None,
             started: false,
         }
     }
@@ -279,6 +285,7 @@ impl RecordedLink {
             }
             Command::Hello => {
                 self.interrupt(now_ns);
+                self.connects_at_ns = None;
                 self.say(now_ns, Report::Disconnected { cause: Disconnect::NewSession });
                 self.say(now_ns, Report::Connected { session: 0, held_by: HeldBy::LinkLost });
                 return Ok(());
@@ -301,6 +308,9 @@ impl RecordedLink {
     /// See [`super::Link::poll`].
     pub fn poll(&mut self, now_ns: i64) -> Option<Report> {
         if !std::mem::replace(&mut self.started, true) {
+            self.connects_at_ns = Some(now_ns.saturating_add(self.connects_after_ns));
+        }
+        if self.connects_at_ns.take_if(|at_ns| *at_ns <= now_ns).is_some() {
             let held_by = self.answers.held_by;
             self.say(now_ns, Report::Connected { session: 0, held_by });
         }
@@ -317,7 +327,7 @@ impl RecordedLink {
         if !self.started {
             return Some(i64::MIN);
         }
-        self.coming.front().map(|(due_ns, _)| *due_ns)
+        self.coming.front().map(|(due_ns, _)| *due_ns).into_iter().chain(self.connects_at_ns).min()
     }
 
     fn take(&mut self, pick: &Pick, now_ns: i64) -> Result<(), Refusal> {

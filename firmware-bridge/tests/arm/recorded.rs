@@ -49,7 +49,7 @@ struct Replay {
 
 impl Replay {
     fn new(conversation: &[Said]) -> Self {
-        let link = RecordedLink::new(&settings(DialectName::Own), Answers::new(conversation), 40);
+        let link = RecordedLink::new(&settings(DialectName::Own), Answers::new(conversation), 40, 0);
         Self { link, now_ns: 5_000 * MS, session: 0, heard: Vec::new() }
     }
 
@@ -284,7 +284,7 @@ fn an_arm_that_does_not_say_when_it_is_clear_gets_its_dwell() {
     let mut settings = settings(DialectName::Own);
     settings.arm.clear_dwell_ms = 300;
     let mut replay = Replay::new(&[]);
-    replay.link = RecordedLink::new(&settings, Answers::new(&recorded), 40);
+    replay.link = RecordedLink::new(&settings, Answers::new(&recorded), 40, 0);
     replay.make_ready();
     replay.now_ns += 200 * MS;
     let early = replay.pick(1);
@@ -292,6 +292,24 @@ fn an_arm_that_does_not_say_when_it_is_clear_gets_its_dwell() {
     replay.now_ns += 200 * MS;
     let pick = replay.pick(1);
     assert_eq!(replay.link.command(Command::Pick(pick), replay.now_ns), Ok(()));
+}
+
+#[test]
+fn an_arm_that_connects_late_does_so_whatever_is_asked_before() {
+    let recorded = conversation(DialectName::Own, 1);
+    for hold in [false, true] {
+        let mut replay = Replay::new(&[]);
+        replay.link = RecordedLink::new(&settings(DialectName::Own), Answers::new(&recorded), 40, 300 * MS);
+        let begin_ns = replay.now_ns;
+        assert_eq!(replay.link.poll(begin_ns), None);
+        if hold {
+            replay.link.command(Command::Hold, begin_ns).unwrap();
+        }
+        assert_eq!(replay.link.command(Command::Release, begin_ns), Err(Refusal::NotConnected));
+        replay.make_ready();
+        assert!(matches!(replay.heard[0], (at_ns, Report::Connected { .. }) if at_ns == begin_ns + 300 * MS));
+        assert_eq!(replay.heard.iter().filter(|said| matches!(said.1, Report::Connected { .. })).count(), 1);
+    }
 }
 
 #[test]

@@ -84,6 +84,8 @@ struct Eyes {
     replayed: bool,
     /// What the session's arm said.
     arm: Vec<Said>,
+    /// How long after the first picture it connected.
+    arm_connects_after_ns: i64,
     /// How the session's pairs were searched.
     repeated: Vec<Option<Repeated>>,
     /// When they are played on the session's own time.
@@ -121,7 +123,7 @@ impl Setup {
         let mut arm = match simulated && args.soak.is_none() && !eyes.arm.is_empty() {
             true => {
                 tracing::info!("the arm answers as that of the recorded session did");
-                Arm::recorded(&cell.arm_side, &eyes.arm, session_seed())
+                Arm::recorded(&cell.arm_side, &eyes.arm, session_seed(), eyes.arm_connects_after_ns)
             }
             false => Arm::open(&cell.arm_side, session_seed())?,
         };
@@ -218,7 +220,7 @@ fn replayed(args: &RunArgs, folder: &Path, fast: bool) -> Result<Eyes, RunError>
     }
     let schedule = Schedule {
         pairs: played.iter().map(|pair| moment(pair)).collect(),
-        lead: session.arm_lead_ns.map_or(period, |ns| Duration::from_nanos(ns.unsigned_abs())),
+        lead: session.arm_lead_ns.map_or(period, |ns| Duration::from_nanos(ns.max(0).unsigned_abs())),
     };
     let pairs = args.soak.map_or(names.len(), |pairs| usize::try_from(pairs).unwrap_or(usize::MAX));
     let sides = ReplayCamera::both(&session, &pace, pairs, args.raw)?;
@@ -233,6 +235,7 @@ fn replayed(args: &RunArgs, folder: &Path, fast: bool) -> Result<Eyes, RunError>
         pairs,
         replayed: true,
         arm: session.arm,
+        arm_connects_after_ns: session.arm_lead_ns.map_or(0, |ns| ns.saturating_neg().max(0)),
         repeated,
         schedule,
     })
@@ -291,6 +294,7 @@ fn live(cell: &Cell) -> Result<Eyes, RunError> {
         pairs: 0,
         replayed: false,
         arm: Vec::new(),
+        arm_connects_after_ns: 0,
         repeated: Vec::new(),
         schedule: Schedule::default(),
     })
