@@ -7,7 +7,7 @@ use std::os::fd::BorrowedFd;
 use std::time::Duration;
 
 use firmware_bridge::config::Settings;
-use firmware_bridge::link::{Link, LinkError, Said};
+use firmware_bridge::link::{Answers, Link, LinkError};
 use firmware_bridge::message::{Command, Refusal, Report};
 
 use crate::handover::wait_readable;
@@ -31,15 +31,9 @@ impl Arm {
         Ok(Arm::Linked(Box::new(Link::open(settings, session_seed)?)))
     }
 
-    /// The arm of a recorded session, which connects so long after it is first asked and answers the n-th target as it
-    /// answered its n-th.
-    pub fn recorded(
-        settings: &Settings,
-        conversation: &[Said],
-        session_seed: u32,
-        connects_after_ns: i64,
-    ) -> Self {
-        Arm::Linked(Box::new(Link::recorded(settings, conversation, session_seed, connects_after_ns)))
+    /// The arm of a recorded session, which answers the n-th target as it answered its n-th.
+    pub fn recorded(settings: &Settings, answers: Answers, session_seed: u32) -> Self {
+        Arm::Linked(Box::new(Link::recorded(settings, answers, session_seed)))
     }
 
     /// Makes a simulated arm move so many times as fast as an ordinary one; others stay as they are.

@@ -95,16 +95,9 @@ impl Link {
         }
     }
 
-    /// The arm of a recorded session, by what it said; `session_seed` decides the numbers of its sessions, and it connects
-    /// so long after it is first asked.
-    pub fn recorded(
-        settings: &Settings,
-        conversation: &[Said],
-        session_seed: u32,
-        connects_after_ns: i64,
-    ) -> Self {
-        let answers = Answers::new(conversation);
-        Link::Recorded(RecordedLink::new(settings, answers, session_seed, connects_after_ns))
+    /// The arm of a recorded session, by its answers; `session_seed` decides the numbers of its sessions.
+    pub fn recorded(settings: &Settings, answers: Answers, session_seed: u32) -> Self {
+        Link::Recorded(RecordedLink::new(settings, answers, session_seed))
     }
 
     /// What the cell wants.

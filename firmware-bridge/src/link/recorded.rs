@@ -49,6 +49,8 @@ type Answer = (i64, Report);
 #[derive(Clone, Debug, PartialEq)]
 pub struct Answers {
     held_by: HeldBy,
+    /// From when the arm is first asked to when it connects.
+    connects_after_ns: i64,
     releases: Vec<Vec<Answer>>,
     picks: Vec<Vec<Answer>>,
 }
@@ -64,7 +66,8 @@ enum Asked {
 impl Answers {
     /// Sorts a conversation, which is in order of time.
     pub fn new(conversation: &[Said]) -> Self {
-        let mut answers = Self { held_by: HeldBy::Start, releases: Vec::new(), picks: Vec::new() };
+        let mut answers =
+            Self { held_by: HeldBy::Start, connects_after_ns: 0, releases: Vec::new(), picks: Vec::new() };
         let first = conversation.iter().find_map(|said| match said.what {
             What::Report(Report::Connected { held_by, .. }) => Some(without_operator(held_by)),
             _ => None,
@@ -120,6 +123,11 @@ impl Answers {
         // A release that the recorded operator took back makes this arm ready: this run's has not.
         answers.releases.iter_mut().for_each(|list| go_on(list, 0));
         answers
+    }
+
+    /// The same of an arm that connects so long after it is first asked.
+    pub fn connecting_after(self, connects_after_ns: i64) -> Self {
+        Self { connects_after_ns, ..self }
     }
 }
 
@@ -241,16 +249,21 @@ pub struct RecordedLink {
     not_before_ns: i64,
     /// From ready to clear of the view, where the arm does not say the latter.
     clear_dwell_ns: i64,
-    /// So long after it is first asked it connects; when that is, once it was asked and until it has.
-    connects_after_ns: i64,
-    connects_at_ns: Option<i64>,
-    started: bool,
+    first: First,
+}
+
+/// The connection that needs no handshake.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum First {
+    /// Nobody has asked the arm yet.
+    Unasked,
+    DueAt(i64),
+    Made,
 }
 
 impl RecordedLink {
-    /// An arm that has just been switched on, and connects so long after it is first asked; `session_seed` decides the number
-    /// of its first session.
-    pub fn new(settings: &Settings, answers: Answers, session_seed: u32, connects_after_ns: i64) -> Self {
+    /// An arm that has just been switched on; `session_seed` decides the number of its first session.
+    pub fn new(settings: &Settings, answers: Answers, session_seed: u32) -> Self {
         let longest = answers.picks.iter().chain(&answers.releases).map(Vec::len).max().unwrap_or(0);
         Self {
             gate: Gate::new(settings),
@@ -266,9 +279,7 @@ impl RecordedLink {
             last: None,
             not_before_ns: i64::MAX,
             clear_dwell_ns: i64::from(settings.arm.clear_dwell_ms) * 1_000_000,
-            connects_after_ns,
-            connects_at_ns: None,
-            started: false,
+            first: First::Unasked,
         }
     }
 
@@ -285,7 +296,7 @@ impl RecordedLink {
             }
             Command::Hello => {
                 self.interrupt(now_ns);
-                self.connects_at_ns = None;
+                self.first = First::Made;
                 self.say(now_ns, Report::Disconnected { cause: Disconnect::NewSession });
                 self.say(now_ns, Report::Connected { session: 0, held_by: HeldBy::LinkLost });
                 return Ok(());
@@ -307,10 +318,11 @@ impl RecordedLink {
 
     /// See [`super::Link::poll`].
     pub fn poll(&mut self, now_ns: i64) -> Option<Report> {
-        if !std::mem::replace(&mut self.started, true) {
-            self.connects_at_ns = Some(now_ns.saturating_add(self.connects_after_ns));
+        if self.first == First::Unasked {
+            self.first = First::DueAt(now_ns.saturating_add(self.answers.connects_after_ns));
         }
-        if self.connects_at_ns.take_if(|at_ns| *at_ns <= now_ns).is_some() {
+        if matches!(self.first, First::DueAt(at_ns) if at_ns <= now_ns) {
+            self.first = First::Made;
             let held_by = self.answers.held_by;
             self.say(now_ns, Report::Connected { session: 0, held_by });
         }
@@ -324,10 +336,12 @@ impl RecordedLink {
 
     /// See [`super::Link::next_deadline_ns`].
     pub fn next_deadline_ns(&self) -> Option<i64> {
-        if !self.started {
-            return Some(i64::MIN);
-        }
-        self.coming.front().map(|(due_ns, _)| *due_ns).into_iter().chain(self.connects_at_ns).min()
+        let first = match self.first {
+            First::Unasked => Some(i64::MIN),
+            First::DueAt(at_ns) => Some(at_ns),
+            First::Made => None,
+        };
+        self.coming.front().map(|(due_ns, _)| *due_ns).into_iter().chain(first).min()
     }
 
     fn take(&mut self, pick: &Pick, now_ns: i64) -> Result<(), Refusal> {

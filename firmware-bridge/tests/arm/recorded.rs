@@ -49,7 +49,7 @@ struct Replay {
 
 impl Replay {
     fn new(conversation: &[Said]) -> Self {
-        let link = RecordedLink::new(&settings(DialectName::Own), Answers::new(conversation), 40, 0);
+        let link = RecordedLink::new(&settings(DialectName::Own), Answers::new(conversation), 40);
         Self { link, now_ns: 5_000 * MS, session: 0, heard: Vec::new() }
     }
 
@@ -284,7 +284,7 @@ fn an_arm_that_does_not_say_when_it_is_clear_gets_its_dwell() {
     let mut settings = settings(DialectName::Own);
     settings.arm.clear_dwell_ms = 300;
     let mut replay = Replay::new(&[]);
-    replay.link = RecordedLink::new(&settings, Answers::new(&recorded), 40, 0);
+    replay.link = RecordedLink::new(&settings, Answers::new(&recorded), 40);
     replay.make_ready();
     replay.now_ns += 200 * MS;
     let early = replay.pick(1);
@@ -299,7 +299,8 @@ fn an_arm_that_connects_late_does_so_whatever_is_asked_before() {
     let recorded = conversation(DialectName::Own, 1);
     for hold in [false, true] {
         let mut replay = Replay::new(&[]);
-        replay.link = RecordedLink::new(&settings(DialectName::Own), Answers::new(&recorded), 40, 300 * MS);
+        let late = Answers::new(&recorded).connecting_after(300 * MS);
+        replay.link = RecordedLink::new(&settings(DialectName::Own), late, 40);
         let begin_ns = replay.now_ns;
         assert_eq!(replay.link.poll(begin_ns), None);
         if hold {

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use firmware_bridge::codec::PACKET_LEN_MAX;
 use firmware_bridge::config::{DialectName, LinkName, Settings};
-use firmware_bridge::link::Said;
+use firmware_bridge::link::Answers;
 use firmware_bridge::message::Pose;
 
 use super::args::{Overlays, Rate, RunArgs};
@@ -82,10 +82,8 @@ struct Eyes {
     names: Vec<String>,
     pairs: usize,
     replayed: bool,
-    /// What the session's arm said.
-    arm: Vec<Said>,
-    /// How long after the first picture it connected.
-    arm_connects_after_ns: i64,
+    /// What the session's arm answered, if it has one.
+    arm: Option<Answers>,
     /// How the session's pairs were searched.
     repeated: Vec<Option<Repeated>>,
     /// When they are played on the session's own time.
@@ -119,13 +117,13 @@ impl Setup {
             recognizer.share_with(owner);
             second = Some(helper);
         }
-        let eyes = eyes(args, &cell, fast)?;
-        let mut arm = match simulated && args.soak.is_none() && !eyes.arm.is_empty() {
-            true => {
+        let mut eyes = eyes(args, &cell, fast)?;
+        let mut arm = match eyes.arm.take().filter(|_| simulated && args.soak.is_none()) {
+            Some(answers) => {
                 tracing::info!("the arm answers as that of the recorded session did");
-                Arm::recorded(&cell.arm_side, &eyes.arm, session_seed(), eyes.arm_connects_after_ns)
+                Arm::recorded(&cell.arm_side, answers, session_seed())
             }
-            false => Arm::open(&cell.arm_side, session_seed())?,
+            None => Arm::open(&cell.arm_side, session_seed())?,
         };
         if args.soak.is_some() {
             arm.hasten(SOAK_TEMPO);
@@ -218,6 +216,8 @@ fn replayed(args: &RunArgs, folder: &Path, fast: bool) -> Result<Eyes, RunError>
             "searches have the budgets and seeds of the recording; --iterations or --seed gives others"
         );
     }
+    let late_ns = session.arm_lead_ns.map_or(0, |ns| ns.saturating_neg().max(0));
+    let arm = (!session.arm.is_empty()).then(|| Answers::new(&session.arm).connecting_after(late_ns));
     let schedule = Schedule {
         pairs: played.iter().map(|pair| moment(pair)).collect(),
         lead: session.arm_lead_ns.map_or(period, |ns| Duration::from_nanos(ns.max(0).unsigned_abs())),
@@ -226,19 +226,7 @@ fn replayed(args: &RunArgs, folder: &Path, fast: bool) -> Result<Eyes, RunError>
     let sides = ReplayCamera::both(&session, &pace, pairs, args.raw)?;
     let frame_bytes = sides.iter().map(ReplayCamera::largest_bytes).max().unwrap_or(0);
     let cameras = sides.map(Camera::Replay);
-    Ok(Eyes {
-        cameras,
-        steps,
-        period,
-        frame_bytes,
-        names,
-        pairs,
-        replayed: true,
-        arm: session.arm,
-        arm_connects_after_ns: session.arm_lead_ns.map_or(0, |ns| ns.saturating_neg().max(0)),
-        repeated,
-        schedule,
-    })
+    Ok(Eyes { cameras, steps, period, frame_bytes, names, pairs, replayed: true, arm, repeated, schedule })
 }
 
 /// What repeats the search of a recorded pair.
@@ -293,8 +281,7 @@ fn live(cell: &Cell) -> Result<Eyes, RunError> {
         names: Vec::new(),
         pairs: 0,
         replayed: false,
-        arm: Vec::new(),
-        arm_connects_after_ns: 0,
+        arm: None,
         repeated: Vec::new(),
         schedule: Schedule::default(),
     })
