@@ -21,7 +21,7 @@ pub struct RawEdge {
 pub struct Traced {
     /// The chains.
     pub edges: Vec<RawEdge>,
-    /// Their pixels, the first `count`.
+    /// Room for their pixels, of which there are so many.
     pub points: Box<[[u16; 2]]>,
     count: usize,
     /// Directions in which chains from a member of a node were walked, by member.
