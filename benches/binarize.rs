@@ -2,8 +2,9 @@
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use pickcell::frame::{Frame, PixelFormat};
+use pickcell::level::Level;
 use pickcell::vision::binarize::{Binarize, ColourRange, Params};
-use pickcell::vision::{bits::BitImage, level::Level};
+use pickcell::vision::bits::BitImage;
 use std::hint::black_box;
 
 /// A dim, uneven floor with `bars` bright bars, in this format.

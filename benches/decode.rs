@@ -2,8 +2,8 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use pickcell::frame::{Frame, PixelFormat};
+use pickcell::level::Level;
 use pickcell::vision::decode::{Decoder, Output};
-use pickcell::vision::level::Level;
 use std::hint::black_box;
 use zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions};
 use zune_jpeg::JpegDecoder;

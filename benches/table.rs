@@ -4,7 +4,7 @@
 mod drawn;
 mod stages;
 
-use pickcell::vision::level::Level;
+use pickcell::level::Level;
 use pickcell::vision::thin::Algorithm;
 use serde::Deserialize;
 use stages::{Eye, SecondCore, Waits};

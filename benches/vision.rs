@@ -4,7 +4,7 @@ mod drawn;
 mod stages;
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
-use pickcell::vision::level::Level;
+use pickcell::level::Level;
 use pickcell::vision::thin::Algorithm;
 use stages::{Eye, SecondCore, Waits};
 use std::hint::black_box;

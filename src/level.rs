@@ -1,15 +1,15 @@
-//! Which instructions the pixel stages use.
+//! Which instructions a stage uses.
 
 use std::sync::LazyLock;
 
-/// Instruction sets the pixel stages have code for. All give the same bits; results never depend on it.
+/// Instruction sets that stages have code for. All give the same bits; results never depend on it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Level {
     /// 64-bit words, on every machine.
     Plain,
     /// 256-bit vectors: AVX2 with BMI1, BMI2 and POPCNT (Haswell, Zen and later).
     Avx2,
-    /// 512-bit vectors: AVX-512 with F, BW, DQ, VL, VBMI, VBMI2 and VNNI (Ice Lake, Zen 4 and later).
+    /// 512-bit vectors: AVX-512 with F, BW, DQ, VL, VBMI, VBMI2 and VNNI, and LZCNT (Ice Lake, Zen 4 and later).
     Avx512,
 }
 
@@ -44,7 +44,8 @@ impl Level {
                 && is_x86_feature_detected!("avx512vl")
                 && is_x86_feature_detected!("avx512vbmi")
                 && is_x86_feature_detected!("avx512vbmi2")
-                && is_x86_feature_detected!("avx512vnni");
+                && is_x86_feature_detected!("avx512vnni")
+                && is_x86_feature_detected!("lzcnt");
             if avx512 {
                 return &[Level::Plain, Level::Avx2, Level::Avx512];
             }

@@ -45,6 +45,7 @@
 //! | [`frame`] | pictures with format, stride, colour encoding and time stamp | leaf |
 //! | [`handover`] | frames from thread to thread; the newest wins, the rest is counted | leaf |
 //! | [`hands`] | one half of a job done by a second thread | leaf |
+//! | [`level`] | the instruction sets that this machine has | leaf |
 //! | [`rig`] | intrinsics, distortion, stereo geometry, calibration files | leaf |
 //! | [`part`] | part models: nodes, edges, thickness, grasp, symmetries | leaf |
 //! | [`camera`] | V4L2 cameras, recorded sessions as cameras, the frame pool | edge |
@@ -77,6 +78,7 @@ pub mod frame;
 pub mod grasp;
 pub mod handover;
 pub mod hands;
+pub mod level;
 pub mod matching;
 pub mod part;
 pub mod picture;

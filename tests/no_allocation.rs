@@ -1,10 +1,10 @@
 //! The hot stages allocate nothing after `new` and one run.
 
 use pickcell::frame::{Frame, PixelFormat};
+use pickcell::level::Level;
 use pickcell::vision::binarize::{Binarize, ColourRange, Params};
 use pickcell::vision::bits::BitImage;
 use pickcell::vision::decode::{Decoder, Output};
-use pickcell::vision::level::Level;
 use pickcell::vision::{graph, thin};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;

@@ -1,7 +1,7 @@
 //! Thinning against OpenCV's skeletons of the shared reference pictures; skipped where they are not there.
 
+use pickcell::level::Level;
 use pickcell::vision::bits::BitImage;
-use pickcell::vision::level::Level;
 use pickcell::vision::thin::{Algorithm, Params, Thin};
 use std::path::Path;
 

@@ -3,10 +3,10 @@
 #![allow(dead_code, missing_docs, unreachable_pub)]
 
 use pickcell::frame::Frame;
+use pickcell::level::Level;
 use pickcell::vision::binarize::{self, Binarize, ColourRange};
 use pickcell::vision::bits::BitImage;
 use pickcell::vision::graph::{self, Graph, Graphs};
-use pickcell::vision::level::Level;
 use pickcell::vision::thin::{self, Algorithm, Thin, whole::WholeThin};
 use std::sync::mpsc::{Receiver, RecvError, SyncSender, TryRecvError, sync_channel};
 use std::thread::JoinHandle;

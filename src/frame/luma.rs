@@ -1,7 +1,7 @@
 //! Reading the luma of single pixels and between pixels, with format and stride looked up once.
 
 use super::{ColourEncoding, Frame, PixelFormat, colour};
-use crate::vision::level::Level;
+use crate::level::Level;
 
 /// The luma of one frame, for measuring edges: format, stride and colour conversion are looked up once, so that
 /// a sample between four pixels takes a few nanoseconds.
@@ -226,6 +226,7 @@ impl<'a> LumaView<'a> {
                 (x, y) = (x + dx, y + dy);
             }
             let mut levels = [0.0f32; BLOCK];
+            // All of a block, also where the line ends before.
             for i in 0..BLOCK {
                 let share = |from: i32, step: i32| from.wrapping_add(step.wrapping_mul(i as i32)) >> 8 & 0xff;
                 let (right, below) = (share(x0, dx), share(y0, dy));
@@ -268,10 +269,12 @@ impl<'a> LumaView<'a> {
     /// and grey bytes not to whole levels.
     #[inline(always)]
     pub fn profile<const N: usize>(&self, from: [f32; 2], step: [f32; 2]) -> [f32; N] {
+        const { assert!(N > 0, "a profile of no places") };
         let last = [0, 1].map(|axis: usize| from[axis] + (N - 1) as f32 * step[axis]);
         let inside = |p: [f32; 2]| {
             p[0] >= 1.0 && p[1] >= 1.0 && p[0] < (self.width - 2) as f32 && p[1] < (self.height - 2) as f32
         };
+        // Eight bytes from any of the places on are bytes of the picture.
         let whole = self.width >= 8 && self.height > 2 && inside(from) && inside(last);
         match self.reading {
             Reading::Weighted(weights) if whole => {
@@ -341,6 +344,37 @@ impl<'a> LumaView<'a> {
 mod tests {
     use super::*;
     use rand::{RngExt, SeedableRng};
+
+    #[test]
+    fn lines_of_grey_pictures_are_the_same_with_all_instructions() {
+        let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(3);
+        let (w, h) = (40, 30);
+        let bytes: Vec<u8> = (0..w * h).map(|_| random.random_range(0..=255)).collect();
+        let grey = |x: usize, y: usize| f64::from(bytes[y * w + x]);
+        let format = PixelFormat::Grey;
+        let frame =
+            Frame { bytes: bytes.clone(), format, width: w, height: h, stride_bytes: w, ..Frame::default() };
+        let view = LumaView::new(&frame).expect("a whole picture");
+        for count in [1, 7, 16, 17, 45] {
+            let [from, to] = [0, 1].map(|_| [random.random_range(0.0..38.9), random.random_range(0.0..28.9)]);
+            let step = [0, 1].map(|axis: usize| (to[axis] - from[axis]) / 45.0);
+            let sums = Level::available().iter().map(|&level| {
+                let mut sums = vec![0.5; count];
+                LumaView { level, ..view }.add_line(from, step, &mut sums);
+                sums
+            });
+            let sums: Vec<_> = sums.collect();
+            assert!(sums.iter().all(|other| *other == sums[0]), "{count} places from {from:?} by {step:?}");
+            for (i, sum) in sums[0].iter().enumerate() {
+                let [x, y] = [0, 1].map(|axis: usize| from[axis] + i as f64 * step[axis]);
+                let (x0, y0) = (x as usize, y as usize);
+                let (right, below) = (x.fract(), y.fract());
+                let row = |y: usize| grey(x0, y) * (1.0 - right) + grey(x0 + 1, y) * right;
+                let level = row(y0) * (1.0 - below) + row(y0 + 1) * below;
+                assert!((f64::from(*sum) - 0.5 - level).abs() < 3.0, "{sum} for {level}");
+            }
+        }
+    }
 
     #[test]
     fn a_profile_is_its_samples() {

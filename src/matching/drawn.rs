@@ -9,9 +9,9 @@ use super::fitness::{Judge, Weights};
 use super::gate::{Gate, GateParams};
 use super::nodes::{ImageNode, NodeRole};
 use super::problem::{Anchor, MatchModel, Span};
+use crate::level::Level;
 use crate::rig::{CameraModel, Rig};
 use crate::vision::bits::BitImage;
-use crate::vision::level::Level;
 
 /// A scene of equal parts, each a chain of straight pieces, with all that the searches take.
 #[derive(Clone, Debug)]

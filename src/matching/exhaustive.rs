@@ -40,8 +40,8 @@ use super::neighbours::Neighbours;
 use super::pairs::is_pair;
 use super::problem::ANCHORS_MAX;
 use super::rows::{self, CHUNK};
+use crate::level::Level;
 use crate::part::EDGES_MAX;
-use crate::vision::level::Level;
 
 /// Workspace of the exact search.
 #[derive(Clone, Debug)]

@@ -34,9 +34,9 @@ use super::looks::{Parabola, missing_on};
 use super::nodes::NodeRole;
 use super::placement::rigid_motion;
 use super::problem::{ANCHORS_MAX, MatchModel, Span};
+use crate::level::Level;
 use crate::rig::Rig;
 use crate::vision::bits::BitImage;
-use crate::vision::level::Level;
 
 /// Stands for a node of the model that is not matched.
 pub const UNMATCHED: u16 = u16::MAX;

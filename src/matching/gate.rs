@@ -10,8 +10,8 @@ use nalgebra::{Vector2, Vector3};
 use super::nodes::{ImageNode, NodeRole};
 use super::problem::{StereoNode, common_role};
 use super::rows::{self, CHUNK, for_bits};
+use crate::level::Level;
 use crate::rig::{Rig, StereoGeometry};
-use crate::vision::level::Level;
 
 /// Which nodes of the right picture may go with a node of the left one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]

@@ -8,7 +8,7 @@ use super::candidates::Candidates;
 use super::fitness::may_be;
 use super::problem::{ANCHORS_MAX, MatchModel};
 use super::rows::{self, CHUNK, for_bits};
-use crate::vision::level::Level;
+use crate::level::Level;
 
 /// Workspace that holds the table of one part and one pair of pictures.
 #[derive(Clone, Debug)]

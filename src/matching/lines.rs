@@ -383,7 +383,7 @@ mod tests {
             model: &model,
             weights: Weights::default(),
             length_tolerance_mm: 6.0,
-            level: crate::vision::level::Level::detect(),
+            level: crate::level::Level::detect(),
         };
         lines.hypotheses(0, &judge, &mut pool);
         (model, pool)

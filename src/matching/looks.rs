@@ -3,10 +3,10 @@
 //! The AVX-512 version looks at sixteen pixels at once and makes the same sums in the same order as the plain one, so
 //! both find the same; a test compares them.
 
+use crate::level::Level;
 use crate::vision::bits::BitImage;
 #[cfg(target_arch = "x86_64")]
 use crate::vision::bits::PAD_ROWS;
-use crate::vision::level::Level;
 
 /// The parabola from one point of a picture through a middle to another, in pixels: `c[0] + s (c[1] + s c[2])` for x and
 /// for y, with s from -1 to 1. The other way round it is the same to the last bit.

@@ -4,7 +4,7 @@
 use super::candidates::Candidates;
 use super::problem::{ANCHORS_MAX, MatchModel};
 use super::rows::{self, CHUNK};
-use crate::vision::level::Level;
+use crate::level::Level;
 
 /// Workspace that holds the rows of one part and one pair of pictures.
 #[derive(Clone, Debug)]

@@ -4,7 +4,7 @@
 //! The answers are rows of one bit a point. The AVX-512 versions compute the same sums in the same order as the
 //! plain ones, so both give the same bits; tests compare them.
 
-use crate::vision::level::Level;
+use crate::level::Level;
 
 /// Points as three lists of coordinates, filled up with infinity to a multiple of [`CHUNK`], and the image nodes that
 /// show them.

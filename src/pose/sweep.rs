@@ -10,8 +10,8 @@ use nalgebra::{Isometry3, Matrix3, Point3, Vector2, Vector3, Vector6};
 use super::aim::{aim, up};
 use super::model::{PoseModel, Station};
 use super::refine::View;
+use crate::level::Level;
 use crate::rig::CameraModel;
-use crate::vision::level::Level;
 
 /// Stations of a step.
 pub(super) const LANES: usize = 8;

@@ -7,6 +7,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use super::explanations::Explanation;
 use super::params::Params;
 use crate::grasp::Placed;
+use crate::level::Level;
 use crate::matching::fitness::Judge;
 use crate::matching::problem::MatchModel;
 use crate::matching::select;
@@ -15,7 +16,6 @@ use crate::picture::Picture;
 use crate::pose::model::PoseModel;
 use crate::pose::verify::Stop;
 use crate::rig::Rig;
-use crate::vision::level::Level;
 
 /// A part and all that is worked out of it beforehand.
 pub(super) struct Prepared {

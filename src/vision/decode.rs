@@ -35,7 +35,7 @@ mod tables;
 mod written;
 
 use crate::frame::{Frame, PixelFormat};
-use crate::vision::level::Level;
+use crate::level::Level;
 use baseline::{Baseline, Fault};
 use idct::Kernel;
 use zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions};

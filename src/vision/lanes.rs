@@ -343,11 +343,11 @@ mod tests {
         }
         all::<u64>();
         #[cfg(target_arch = "x86_64")]
-        for level in crate::vision::level::Level::available() {
+        for level in crate::level::Level::available() {
             match level {
-                crate::vision::level::Level::Plain => {}
-                crate::vision::level::Level::Avx2 => all::<Rows4>(),
-                crate::vision::level::Level::Avx512 => all::<Rows8>(),
+                crate::level::Level::Plain => {}
+                crate::level::Level::Avx2 => all::<Rows4>(),
+                crate::level::Level::Avx512 => all::<Rows8>(),
             }
         }
     }

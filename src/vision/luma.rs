@@ -12,9 +12,9 @@
 //! ```
 
 use super::binarize::{self, Luma};
-use super::level::Level;
 use crate::frame::colour::Ycbcr;
 use crate::frame::{ColourEncoding, Frame, PixelFormat};
+use crate::level::Level;
 
 /// The stage: owns the plane.
 #[derive(Clone, Debug)]

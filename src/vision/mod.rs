@@ -6,7 +6,6 @@ pub mod bits;
 pub mod decode;
 pub mod graph;
 mod lanes;
-pub mod level;
 pub mod luma;
 pub mod ridge;
 pub mod thin;

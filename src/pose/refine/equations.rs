@@ -5,7 +5,7 @@
 
 use nalgebra::{Cholesky, Const, SMatrix, SVector, Vector3, Vector6};
 
-use crate::vision::level::Level;
+use crate::level::Level;
 
 /// Most measurements of one fit.
 pub(super) const MEASUREMENTS_MAX: usize = 1024;

@@ -29,9 +29,9 @@ use super::section::{EndLook, Profiler, Section, mask_run};
 use super::shading::Shading;
 use super::sweep::{Expected, LANES, Sweep};
 use super::width::UsualWidth;
+use crate::level::Level;
 use crate::rig::{CameraModel, Rig};
 use crate::vision::bits::{BitImage, nearest};
-use crate::vision::level::Level;
 
 /// Most stations of a part that are looked at.
 pub(crate) const STATIONS_MAX: usize = 1024;

@@ -8,7 +8,8 @@ use super::speck::Specks;
 use super::{avx2, avx512};
 use crate::frame::colour::Ycbcr;
 use crate::frame::{Frame, PixelFormat};
-use crate::vision::{bits::BitImage, level::Level};
+use crate::level::Level;
+use crate::vision::bits::BitImage;
 use std::ops::Range;
 
 /// A box in three interleaved bytes a pixel, both ends included, laid out for the 192 bytes of 64 pixels.

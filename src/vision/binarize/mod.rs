@@ -34,8 +34,9 @@ mod tests;
 
 pub use error::{ParamsError, Refusal};
 
-use super::{bits::BitImage, level::Level};
+use super::bits::BitImage;
 use crate::frame::{ColourEncoding, Frame, PixelFormat, colour};
+use crate::level::Level;
 use kernel::{ByteBox, LevelBox};
 pub(super) use kernel::{Luma, luma_rows};
 use rows::Rows;

@@ -4,7 +4,7 @@ use super::block::zigzag;
 use super::tables::STANDARD_TABLES;
 use super::{Decoder, Output};
 use crate::frame::{Frame, PixelFormat};
-use crate::vision::level::Level;
+use crate::level::Level;
 use proptest::prelude::*;
 
 /// Quantization of all components.

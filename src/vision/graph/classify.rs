@@ -2,11 +2,11 @@
 //!
 //! What counts as a branch is the same as in [`branches`](super::pixels::branches), its slow twin.
 
+use crate::level::Level;
 use crate::vision::bits::{BitImage, PAD_ROWS};
 use crate::vision::lanes::{A, B, C, Lanes, not};
 #[cfg(target_arch = "x86_64")]
 use crate::vision::lanes::{Rows4, Rows8};
-use crate::vision::level::Level;
 
 const TILE_ROWS: usize = 8;
 

@@ -8,8 +8,8 @@
 
 use super::{Graph, NodeKind};
 use crate::frame::{Frame, LumaView};
+use crate::level::Level;
 use crate::vision::bits::BitImage;
-use crate::vision::level::Level;
 use std::ops::Range;
 
 /// Distance of the outer rays from the middle one, in half thicknesses.

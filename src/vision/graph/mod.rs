@@ -22,8 +22,8 @@ pub mod section;
 pub mod trace;
 
 use crate::frame::Frame;
+use crate::level::Level;
 use crate::vision::bits::BitImage;
-use crate::vision::level::Level;
 use std::ops::Range;
 
 /// In [`Edge::nodes`]: a closed loop has no nodes.

@@ -2,8 +2,8 @@
 
 use super::classify::{Special, classify};
 use super::{NodeKind, Params, Refusal};
+use crate::level::Level;
 use crate::vision::bits::BitImage;
-use crate::vision::level::Level;
 
 /// Directions of the eight neighbours, clockwise from above; bit `i` of a neighbour code is direction `i`.
 pub const DIRECTIONS: [(i32, i32); 8] =

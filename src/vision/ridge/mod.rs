@@ -44,8 +44,8 @@ mod points;
 use nalgebra::{Matrix2, Vector2};
 
 use super::bits::{BitImage, nearest};
-use super::level::Level;
 use crate::frame::LumaView;
+use crate::level::Level;
 use points::{Finder, Point};
 
 pub use area::Area;

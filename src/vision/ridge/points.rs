@@ -5,8 +5,8 @@
 
 use super::Area;
 use crate::frame::LumaView;
+use crate::level::Level;
 use crate::vision::bits::BitImage;
-use crate::vision::level::Level;
 
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Point {

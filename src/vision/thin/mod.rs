@@ -14,8 +14,8 @@ pub mod slow;
 mod tiles;
 pub mod whole;
 
+use crate::level::Level;
 use crate::vision::bits::BitImage;
-use crate::vision::level::Level;
 use tiles::Tiles;
 
 /// Which thinning.

@@ -7,11 +7,11 @@
 
 use super::Algorithm;
 use super::delete::deletes;
+use crate::level::Level;
 use crate::vision::bits::{BitImage, PAD_ROWS};
 use crate::vision::lanes::Lanes;
 #[cfg(target_arch = "x86_64")]
 use crate::vision::lanes::{Rows4, Rows8};
-use crate::vision::level::Level;
 
 const TILE_ROWS: usize = 8;
 

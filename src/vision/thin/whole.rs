@@ -5,8 +5,8 @@
 //! second is taken, from there to where it meets the first.
 
 use super::{Algorithm, Params, Thin};
+use crate::level::Level;
 use crate::vision::bits::{BitImage, PAD_ROWS};
-use crate::vision::level::Level;
 
 /// Rows of a block.
 const BLOCK_ROWS: usize = 8;

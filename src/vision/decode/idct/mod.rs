@@ -157,7 +157,7 @@ fn sample(x: f32) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::vision::level::Level;
+    use crate::level::Level;
     use proptest::prelude::*;
 
     /// Two blocks for a kernel.
