@@ -7,6 +7,7 @@
 //! ```
 
 pub mod candidates;
+pub mod claims;
 mod dominance;
 pub mod drawn;
 pub mod exhaustive;

@@ -4,12 +4,10 @@
 //! The most valuable one stands and claims its stretches of wire; all others lose what it claimed, until none is
 //! left that still has a case.
 
-use nalgebra::Vector2;
-
+use super::claims::ClaimMap;
 use crate::pose::model::PoseModel;
 use crate::pose::refine::Fit;
-use crate::pose::verify::{self, PieceSight, Sight, Verdict};
-use crate::vision::bits::nearest;
+use crate::pose::verify::{self, Sight, Verdict};
 
 /// When an explanation stands.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -62,134 +60,6 @@ impl Default for Params {
 const MISFIT_USUAL: f64 = 0.6;
 /// From this misfit on the pictures contradict the pose.
 const MISFIT_MAX: f64 = 1.5;
-/// Directions told apart in a claim, over half a turn.
-const DIRECTIONS: i32 = 32;
-/// Claims of directions nearer than this many steps are the same wire.
-const SAME_DIRECTION: i32 = 3;
-/// Side of a cell of the claim map, in pixels.
-const CELL_PX: f64 = 3.0;
-/// What is farther from the picture's corner than this many cells is outside of any picture.
-const CELLS_MAX: f64 = 16_000.0;
-
-/// Which stretches of wire are claimed in one picture.
-#[derive(Clone, Debug)]
-pub struct ClaimMap {
-    columns: i32,
-    rows: i32,
-    /// A bit for each direction in which wire is claimed.
-    cells: Vec<u32>,
-    /// A bit for each run of cells in which one was claimed.
-    claimed_runs: Vec<u64>,
-}
-
-/// Cells that are cleared together.
-const RUN_CELLS: usize = 16;
-
-impl ClaimMap {
-    /// For pictures of this size.
-    pub fn new(width: usize, height: usize) -> Self {
-        let columns = (width as f64 / CELL_PX) as i32 + 1;
-        let rows = (height as f64 / CELL_PX) as i32 + 1;
-        let runs = ((columns * rows) as usize).div_ceil(RUN_CELLS);
-        Self { columns, rows, cells: vec![0; runs * RUN_CELLS], claimed_runs: vec![0; runs.div_ceil(64)] }
-    }
-
-    /// Nothing is claimed.
-    pub fn clear(&mut self) {
-        for (k, claimed) in self.claimed_runs.iter_mut().enumerate() {
-            while *claimed != 0 {
-                let run = 64 * k + claimed.trailing_zeros() as usize;
-                self.cells[run * RUN_CELLS..][..RUN_CELLS].fill(0);
-                *claimed &= *claimed - 1;
-            }
-        }
-    }
-
-    /// The cell of a place, in sides of cells.
-    #[inline]
-    fn cell(&self, x: f64, y: f64) -> Option<usize> {
-        self.cell_at(nearest(x), nearest(y))
-    }
-
-    #[inline]
-    fn cell_at(&self, c: i32, r: i32) -> Option<usize> {
-        // What is negative is large then.
-        let inside = (c as u32) < self.columns as u32 && (r as u32) < self.rows as u32;
-        inside.then(|| (r * self.columns + c) as usize)
-    }
-
-    /// Claims a piece of wire.
-    pub fn claim(&mut self, piece: &PieceSight) {
-        let direction = 1u32 << direction_of(&piece.across);
-        let reach = piece.half_width_px * (0.8 / CELL_PX);
-        let steps = reach.ceil().max(1.0) as i32;
-        // In 1/65536 of a cell, half a cell on, so that what is before the point is the nearest cell.
-        let fixed = |v: &Vector2<f64>| [v.x, v.y].map(|v| (v.clamp(-CELLS_MAX, CELLS_MAX) * 65536.0) as i32);
-        let step = fixed(&(piece.across * (reach / f64::from(steps))));
-        let middle = fixed(&(piece.expected_px / CELL_PX).add_scalar(0.5));
-        // Half a width along the wire, too, so that little is left between two pieces, which are a width apart.
-        let along = fixed(&Vector2::new(piece.across.y, -piece.across.x));
-        let beside = (piece.half_width_px / CELL_PX - 0.25).ceil().clamp(1.0, 64.0) as i32;
-        let [mut x, mut y] =
-            [0, 1].map(|axis: usize| middle[axis] - steps * step[axis] - beside * along[axis]);
-        // Runs of one word are noted together: the next note of it need not wait for the last.
-        let (mut word, mut runs) = (0, 0u64);
-        for _ in -steps..=steps {
-            for j in 0..=2 * beside {
-                let at = self.cell_at((x + j * along[0]) >> 16, (y + j * along[1]) >> 16);
-                if let Some(cell) = at {
-                    self.cells[cell] |= direction;
-                    let run = cell / RUN_CELLS;
-                    if run / 64 != word {
-                        self.claimed_runs[word] |= runs;
-                        (word, runs) = (run / 64, 0);
-                    }
-                    runs |= 1 << (run % 64);
-                }
-            }
-            (x, y) = (x + step[0], y + step[1]);
-        }
-        self.claimed_runs[word] |= runs;
-    }
-
-    /// Whether the middle of a piece lies on claimed wire of the same direction.
-    pub fn is_claimed(&self, piece: &PieceSight) -> bool {
-        self.is_claimed_at(&piece.expected_px, &piece.across)
-    }
-
-    /// Whether a place lies on claimed wire.
-    pub fn is_claimed_by_any(&self, px: &Vector2<f64>) -> bool {
-        self.cell(px.x / CELL_PX, px.y / CELL_PX).is_some_and(|cell| self.cells[cell] != 0)
-    }
-
-    /// Whether a place lies on claimed wire of the direction that `across` is at right angles to.
-    pub fn is_claimed_at(&self, px: &Vector2<f64>, across: &Vector2<f64>) -> bool {
-        let Some(cell) = self.cell(px.x / CELL_PX, px.y / CELL_PX) else { return false };
-        let near = (1u32 << (2 * SAME_DIRECTION + 1)) - 1;
-        let near = near.rotate_left((direction_of(across) + DIRECTIONS - SAME_DIRECTION) as u32);
-        self.cells[cell] & near != 0
-    }
-}
-
-/// The nearest of [`DIRECTIONS`], from 0 along x on.
-fn direction_of(across: &Vector2<f64>) -> i32 {
-    // Tangents of the angles in the middle between two directions, up to an eighth of a turn.
-    const MIDDLES: [f64; 8] = [
-        0.049_126_849_769_467_254,
-        0.148_335_987_538_347_43,
-        0.250_486_960_191_305_5,
-        0.357_805_721_314_524_05,
-        0.473_064_710_000_943_6,
-        0.599_376_933_681_923_8,
-        0.741_650_546_272_035_7,
-        0.906_347_169_019_147_1,
-    ];
-    let (x, y) = (across.x.abs(), across.y.abs());
-    let (less, more) = (x.min(y), x.max(y));
-    let steps = MIDDLES.iter().filter(|&&tan| less > tan * more).count() as i32;
-    let steep = if y > x { DIRECTIONS / 2 - steps } else { steps };
-    if across.x * across.y < 0.0 { (DIRECTIONS - steep) % DIRECTIONS } else { steep }
-}
 
 /// Length in mm of the wire that an explanation shows and nobody has claimed, left and right; and the length on which it
 /// needs wire that others have claimed, the mean of both pictures.
@@ -316,9 +186,11 @@ pub fn worth(
 mod tests {
     use std::path::Path;
 
+    use nalgebra::Vector2;
+
     use super::*;
     use crate::part::Part;
-    use crate::pose::verify::OnwardPiece;
+    use crate::pose::verify::{OnwardPiece, PieceSight};
 
     fn piece(x: f64, y: f64, across: [f64; 2]) -> PieceSight {
         PieceSight {
@@ -327,18 +199,6 @@ mod tests {
             across: Vector2::from(across).normalize(),
             half_width_px: 3.5,
         }
-    }
-
-    #[test]
-    fn a_wire_that_crosses_takes_no_claim_away() {
-        let mut claims = ClaimMap::new(100, 100);
-        let (level, upright) = (piece(50.0, 50.0, [0.0, 1.0]), piece(50.0, 50.0, [1.0, 0.0]));
-        claims.claim(&level);
-        assert!(claims.is_claimed(&level) && !claims.is_claimed(&upright));
-        claims.claim(&upright);
-        assert!(claims.is_claimed(&level) && claims.is_claimed(&upright));
-        claims.clear();
-        assert!(!claims.is_claimed(&level) && !claims.is_claimed_by_any(&Vector2::new(50.0, 50.0)));
     }
 
     #[test]
@@ -352,7 +212,7 @@ mod tests {
             across: Vector2::new(0.0, 1.0),
         };
         let verdict = Verdict {
-            onward: vec![beyond(50.0), beyond(56.0)],
+            onward: vec![beyond(50.0), beyond(64.0)],
             ends_in_both: 1,
             ends_seen: 2,
             ..Verdict::default()
@@ -364,9 +224,9 @@ mod tests {
             (overrun_mm / model.radius_mm, is_anchored(&fit, &verdict, overrun_mm))
         };
         assert_eq!(left_mm(&claims), (2.0, false));
-        claims[1].claim(&piece(56.0, 50.0, [0.0, 1.0]));
+        claims[1].claim(&[piece(64.0, 50.0, [0.0, 1.0])]);
         assert_eq!(left_mm(&claims), (1.0, false));
-        claims[1].claim(&piece(50.0, 50.0, [0.0, 1.0]));
+        claims[1].claim(&[piece(50.0, 50.0, [0.0, 1.0])]);
         assert_eq!(left_mm(&claims), (0.0, true));
         claims[1].clear();
         assert_eq!(left_mm(&claims), (2.0, false));
@@ -407,39 +267,5 @@ mod tests {
         assert!(proven("hook.toml", 1.2, 0) && !proven("hook.toml", 1.6, 2));
         assert!(proven("rod-90.toml", 1.2, 2) && !proven("rod-90.toml", 1.2, 1));
         assert!(!proven("rod-90.toml", 1.6, 2));
-    }
-
-    #[test]
-    fn hardly_any_wire_is_left_between_the_pieces_of_a_thick_one() {
-        let mut claims = ClaimMap::new(200, 200);
-        let along = Vector2::new(0.8, 0.6);
-        let at = |px: f64| {
-            let place = Vector2::new(40.0, 50.0) + along * px;
-            PieceSight { half_width_px: 7.0, ..piece(place.x, place.y, [-0.6, 0.8]) }
-        };
-        (0..9).for_each(|k| claims.claim(&at(14.0 * f64::from(k))));
-        // Cells that a slanting line only touches may be left.
-        let claimed = (0..112).filter(|&px| claims.is_claimed(&at(f64::from(px)))).count();
-        assert!(claimed > 100, "{claimed}");
-    }
-
-    #[test]
-    fn directions_are_rounded_angles() {
-        for k in 0..1000 {
-            let angle = f64::from(k) * 0.00731;
-            let expected = ((angle / std::f64::consts::PI * 32.0).round() as i32).rem_euclid(32);
-            assert_eq!(direction_of(&Vector2::new(angle.cos(), angle.sin())), expected, "{angle}");
-        }
-    }
-
-    #[test]
-    fn a_claim_holds_for_like_directions_and_not_for_the_wire_beside() {
-        let mut claims = ClaimMap::new(100, 100);
-        // The directions about half a turn are neighbours, too.
-        claims.claim(&piece(50.0, 50.0, [1.0, 0.05]));
-        assert!(claims.is_claimed(&piece(50.0, 50.0, [1.0, -0.05])));
-        assert!(claims.is_claimed(&piece(50.0, 50.0, [-1.0, 0.05])));
-        assert!(!claims.is_claimed(&piece(50.0, 50.0, [1.0, 0.8])));
-        assert!(!claims.is_claimed(&piece(58.0, 50.0, [1.0, 0.05])));
     }
 }

@@ -67,6 +67,9 @@ use views::{lit, views};
 const SEARCH_SHARE: f64 = 0.5;
 const LOOK_SHARE: f64 = 0.7;
 const COMPETE_SHARE: f64 = 0.5;
+/// Share of what must be seen of a part whose skeleton, unexplained, is reason to look for it: where it lies along another
+/// one, their wires have but one skeleton.
+const UNEXPLAINED_SHARE: f64 = 0.5;
 /// Most hypotheses of a pair.
 const HYPOTHESES_MAX: usize = 16384;
 
@@ -320,8 +323,8 @@ impl Recognizer {
     /// a part.
     fn find_unexplained(&mut self, half_px: &[f64; 2]) -> bool {
         let Self { pictures, parts, params, areas, explanations, .. } = self;
-        let least_radii =
-            parts.iter().map(|p| p.least_seen_radii(params.select.seen_min)).fold(f64::INFINITY, f64::min);
+        let share = UNEXPLAINED_SHARE * params.select.seen_min;
+        let least_radii = parts.iter().map(|p| p.least_seen_radii(share)).fold(f64::INFINITY, f64::min);
         [0, 1].into_iter().all(|side: usize| {
             unexplained_px(&pictures[side], &explanations.claims()[side], half_px[side], &mut areas[side])
                 >= least_radii * half_px[side]

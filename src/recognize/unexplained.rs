@@ -2,7 +2,7 @@
 
 use nalgebra::Vector2;
 
-use crate::matching::select::ClaimMap;
+use crate::matching::claims::ClaimMap;
 use crate::picture::Picture;
 use crate::vision::ridge;
 

@@ -3,8 +3,9 @@
 use nalgebra::Vector3;
 
 use super::{Explanation, Explanations};
+use crate::matching::claims::ClaimMap;
 use crate::matching::hypotheses::Hypothesis;
-use crate::matching::select::{self, ClaimMap, Worth};
+use crate::matching::select::{self, Worth};
 use crate::pose::contact::{self, Placed};
 use crate::pose::over;
 use crate::pose::refine::View;

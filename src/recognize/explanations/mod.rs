@@ -9,11 +9,12 @@ use arrayvec::ArrayVec;
 use nalgebra::{Isometry3, Matrix6, Vector2, Vector3};
 
 use super::prepared::Prepared;
+use crate::matching::claims::ClaimMap;
 use crate::matching::fitness::UNMATCHED;
 use crate::matching::hypotheses::Hypothesis;
 use crate::matching::nodes::{ImageNode, NodeRole};
 use crate::matching::problem::StereoNode;
-use crate::matching::select::{self, ClaimMap, Worth};
+use crate::matching::select::{self, Worth};
 use crate::part::NODES_MAX;
 use crate::pose::refine::{self, Fit, Refine, View};
 use crate::pose::shading::Shading;
@@ -323,9 +324,8 @@ impl Explanations {
 
     fn claim(&mut self, index: usize) {
         self.list[index].has_claimed = true;
-        for piece in &self.list[index].verdict.pieces {
-            self.claims[0].claim(&piece[0]);
-            self.claims[1].claim(&piece[1]);
+        for (side, claims) in self.claims.iter_mut().enumerate() {
+            claims.claim(self.list[index].verdict.pieces.iter().map(|piece| &piece[side]));
         }
     }
 
@@ -384,7 +384,7 @@ impl Explanations {
 
 /// Marks the wire of an explanation as settled.
 fn settle_for(settled: &mut ClaimMap, verdict: &Verdict) {
-    verdict.pieces.iter().for_each(|[left, _]| settled.claim(left));
+    settled.claim(verdict.pieces.iter().map(|[left, _]| left));
 }
 
 /// Marks the end of a picture at a place as that of a part of this length: the nearest, for another wire may end beside it.
