@@ -151,13 +151,10 @@ fn goes_straight_on(first: &PieceSight, last: &PieceSight, next: &PieceSight) ->
 
 /// The first and the last of the whole numbers below `count` from one number to another, if any.
 fn whole_within(from: f64, to: f64, count: usize) -> Option<[usize; 2]> {
-    let last = to.min(count as f64 - 1.0);
-    let first = from.max(0.0);
-    if !(first <= last) {
-        return None;
-    }
-    let [up, down] = [first as usize + usize::from(first.fract() > 0.0), last as usize];
-    (up <= down).then_some([up, down])
+    let (from, to) = (from.max(0.0), to.min(count as f64 - 1.0));
+    let below = from as usize;
+    let first = below + usize::from((below as f64) < from);
+    (from <= to && first <= to as usize).then_some([first, to as usize])
 }
 
 /// The nearest of [`DIRECTIONS`], from 0 along x on.

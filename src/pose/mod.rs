@@ -62,6 +62,12 @@
 //! let coarse = refine.coarse(&model, &rough, &[left, right]).unwrap();
 //! let fit = refine.fine(&model, &coarse, &[left, right]).unwrap();
 //! assert!((fit.left_from_part.translation.vector - truth.translation.vector).norm() < 0.3);
+//!
+//! // Without the binary pictures, where the rough pose is not far off.
+//! let near = refine.near(&model, &rough, &[left, right]).unwrap();
+//! assert!((near.translation.vector - truth.translation.vector).norm() < 1.0);
+//! let far = truth * Isometry3::translation(0.0, 12.0, 0.0);
+//! assert_eq!(refine.near(&model, &far, &[left, right]), None);
 //! # Ok::<(), pickcell::part::PartError>(())
 //! ```
 

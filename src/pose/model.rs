@@ -6,8 +6,9 @@ use nalgebra::{Point3, Vector3};
 
 use crate::part::Part;
 
-/// Distance between two points of the centreline, in thicknesses.
-const STEP_THICKNESSES: f64 = 1.0;
+/// Most points of the centreline of a bent part that lie half a thickness apart; else, and on straight parts, they lie a
+/// thickness apart. A bent part consists of short pieces, whose direction few points would tell.
+const DENSE_STATIONS_MAX: f64 = 256.0;
 
 /// Cosine of the angle from which on a wire bends between two stations.
 const STRAIGHT_COS: f64 = 0.996;
@@ -61,6 +62,8 @@ pub struct FreeEnd {
 pub struct PoseModel {
     /// Points along the centreline.
     pub stations: Vec<Station>,
+    /// How many stations there are on a thickness of wire: those of one do not err independently of each other.
+    pub per_thickness: usize,
     /// All stations, a few at a time.
     pub clusters: Vec<Cluster>,
     /// The ends of its straight pieces of wire, in its frame.
@@ -81,7 +84,10 @@ impl PoseModel {
     /// Works out the stations of `part`.
     pub fn new(part: &Part) -> Self {
         let radius_mm = part.thickness_mm / 2.0;
-        let step_mm = part.thickness_mm * STEP_THICKNESSES;
+        let wire_mm = (0..part.edges.len()).map(|edge| part.edge_length_mm(edge)).sum::<f64>();
+        let is_dense = !part.is_straight() && 2.0 * wire_mm <= DENSE_STATIONS_MAX * part.thickness_mm;
+        let per_thickness = if is_dense { 2 } else { 1 };
+        let step_mm = part.thickness_mm / per_thickness as f64;
         let joints: Vec<Point3<f64>> = (0..part.nodes.len())
             .filter(|&n| part.degree(n) > 1)
             .map(|n| part.nodes[n].position_mm)
@@ -113,6 +119,7 @@ impl PoseModel {
             stations.iter().map(|s| s.position_mm.coords * s.length_mm).sum::<Vector3<f64>>() / length_mm;
         Self {
             ends: free_ends(part, step_mm),
+            per_thickness,
             straight_along: part.is_straight().then(|| stations[0].tangent),
             straight_mm: straight_pieces(&stations),
             clusters: clusters_of(&stations),

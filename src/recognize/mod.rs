@@ -163,12 +163,12 @@ impl Recognizer {
         let matched = Timestamp::now();
         self.explanations.clear(self.pictures.each_ref().map(Picture::nodes));
         let looking = &mut budget.looks(LOOK_SHARE);
-        let mut all_looked_at = self.explain(pair, looking);
+        let mut all_looked_at = self.explain(pair, false, looking);
         if all_looked_at && !looking.is_over() && self.search_ends(looking) {
-            all_looked_at = self.explain(pair, looking);
+            all_looked_at = self.explain(pair, true, looking);
         }
         if all_looked_at && !looking.is_over() && self.search_ridges(pair) {
-            all_looked_at = self.explain(pair, looking);
+            all_looked_at = self.explain(pair, true, looking);
         }
         all_looked_at &= !looking.is_over();
         let exchanging = &mut budget.exchanges(COMPETE_SHARE);
@@ -331,8 +331,8 @@ impl Recognizer {
         })
     }
 
-    /// Holds the pool's hypotheses against both pictures; says whether all of them.
-    fn explain(&mut self, pair: &FramePair, looking: &mut Watch) -> bool {
+    /// Holds the pool's hypotheses against both pictures, for the first time or `again`; says whether all of them.
+    fn explain(&mut self, pair: &FramePair, again: bool, looking: &mut Watch) -> bool {
         let Some(views) = views(&self.pictures, &self.rig, pair, &self.params) else { return true };
         let scene = Scene {
             parts: &self.parts,
@@ -342,7 +342,7 @@ impl Recognizer {
             down: grasp::down_in_left(&self.params.grasp),
             slope_rad_max: self.params.slope_rad_max,
         };
-        self.explanations.explain(&scene, &self.pool, looking)
+        self.explanations.explain(&scene, &self.pool, again, looking)
     }
 
     /// Lets the explanations compete; those that stand are the parts. Says whether there was time for it.

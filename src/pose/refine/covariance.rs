@@ -90,7 +90,8 @@ fn covariance(
     misfit: f64,
     sight: &Vector3<f64>,
 ) -> Matrix6<f64> {
-    let mut covariance: Matrix6<f64> = inverse.fixed_view::<6, 6>(0, 0) * (misfit * misfit);
+    let mut covariance: Matrix6<f64> =
+        inverse.fixed_view::<6, 6>(0, 0) * (misfit * misfit * model.per_thickness as f64);
     let [across, lift] = [shading.across, shading.lift].map(|radii| radii * model.radius_mm);
     let displaced = Matrix3::identity() * across.powi(2)
         + sight * sight.transpose() * (lift.powi(2) - across.powi(2)).max(0.0);
@@ -146,6 +147,7 @@ mod tests {
             share: k as f64 / 20.0 - 0.5,
         };
         let model = PoseModel {
+            per_thickness: 1,
             clusters: Vec::new(),
             stations: (0..=20).map(station).collect(),
             ends: vec![],

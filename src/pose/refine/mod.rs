@@ -14,6 +14,7 @@ mod covariance;
 mod equations;
 mod measure;
 mod params;
+mod rough;
 
 use arrayvec::ArrayVec;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, Vector2, Vector3, Vector6};
@@ -25,7 +26,7 @@ pub use params::Params;
 
 use super::aim::{aim, end_is_bare, mask_beyond_px, up};
 use super::model::{PoseModel, Station};
-use super::section::{EndLook, Profiler, Section, mask_run};
+use super::section::{EndLook, Profiler, Section};
 use super::shading::Shading;
 use super::sweep::{Expected, LANES, Sweep};
 use super::width::UsualWidth;
@@ -35,13 +36,9 @@ use crate::vision::bits::{BitImage, nearest};
 
 /// Most stations of a part that are looked at.
 pub(crate) const STATIONS_MAX: usize = 1024;
-/// Every so many stations are looked at while the pose is rough.
-const COARSE_STRIDE: usize = 3;
 /// How far the outlines are looked for at first and later, and the residuals at which belief has halved, in pixels.
 const FINE_FIRST: (f64, [f64; 4]) = (2.5, [1.5, 3.5 / 3.0, 2.5 / 3.0, 0.5]);
 const FINE_NEXT: (f64, [f64; 4]) = (1.5, [0.7, 1.9 / 3.0, 1.7 / 3.0, 0.5]);
-/// A rough pose that moved by less than this, in radii of the wire, need not be moved again before it is refined.
-const COARSE_SETTLED_RADII: f64 = 1.5;
 /// A pose that moved the wire by less than this in the pictures need not be looked at again.
 const SETTLED_PX: f64 = 0.7;
 
@@ -151,30 +148,6 @@ impl Refine {
         &self.ends
     }
 
-    /// Moves `start`, a rough pose, to where the binary pictures and the ends have it. `None` where nothing would hold it
-    /// along the wire.
-    pub fn coarse(
-        &mut self,
-        model: &PoseModel,
-        start: &Isometry3<f64>,
-        views: &[View; 2],
-    ) -> Option<Isometry3<f64>> {
-        let mut pose = *start;
-        for round in 0..self.params.coarse_rounds {
-            let (search_px, scale_px) = if round == 0 { (7.0, 4.0) } else { (4.0, 2.0) };
-            self.observe_masks(model, &pose, views, search_px);
-            // Where touching wires leave the mask nothing to say, the grey values may.
-            let step = self.solve(model, &mut pose, &[scale_px; 2]).map(|solution| solution.step);
-            if step.is_some_and(|step| reach_mm(model, &step) < COARSE_SETTLED_RADII * model.radius_mm) {
-                break;
-            }
-        }
-        if !self.shows_end() && self.missing(model, &pose, views) > self.params.missing_max {
-            return None;
-        }
-        Some(pose)
-    }
-
     /// Whether a free end of the part is seen, at the pose looked at last.
     pub fn shows_end(&self) -> bool {
         self.ends.iter().flatten().flatten().any(|end| end.beyond_px.is_some())
@@ -210,7 +183,7 @@ impl Refine {
         views: &[View; 2],
         (search_px, scales_px): (f64, [f64; 4]),
     ) -> Option<(Fit, f64)> {
-        self.look(model, start, views, search_px);
+        self.look(model, start, views, search_px, (1, EndLook::Close));
         self.observe_outlines(model, search_px, |_, _| {});
         let mut left_from_part = *start;
         let Solution { step, misfit, believed, .. } = self.solve(model, &mut left_from_part, &scales_px)?;
@@ -219,17 +192,6 @@ impl Refine {
 
     fn sweep(&self, model: &PoseModel, pose: &Isometry3<f64>) -> Sweep {
         Sweep::new(self.equations.level(), model, pose, self.eye, self.params.lift_radii)
-    }
-
-    /// Share of the wire, the mean of both pictures, where the masks have nothing.
-    fn missing(&self, model: &PoseModel, pose: &Isometry3<f64>, views: &[View; 2]) -> f64 {
-        let stations = model.stations.iter().step_by(2);
-        let looked = 2 * stations.len();
-        let mut there = 0;
-        self.expect(model, stations, pose, views, |side, px, across| {
-            there += usize::from(mask_run(views[side].mask, px, across, 2.0, 0.0).is_some());
-        });
-        (looked - there) as f64 / looked.max(1) as f64
     }
 
     /// Moves the expected places by a step of the pose; gives the largest movement in pixels.
@@ -252,16 +214,24 @@ impl Refine {
         largest
     }
 
-    fn look(&mut self, model: &PoseModel, pose: &Isometry3<f64>, views: &[View; 2], search_px: f64) {
+    /// Looks at every `stride`th station and at the ends.
+    fn look(
+        &mut self,
+        model: &PoseModel,
+        pose: &Isometry3<f64>,
+        views: &[View; 2],
+        search_px: f64,
+        (stride, how): (usize, EndLook),
+    ) {
         let sweep = self.sweep(model, pose);
         let Self { sightings, .. } = self;
         sightings.clear();
-        let stations = model.stations.iter().take(STATIONS_MAX);
-        sightings.resize(stations.len(), [None; 2]);
+        sightings.resize(model.stations.len().min(STATIONS_MAX), [None; 2]);
+        let stations = model.stations.iter().take(STATIONS_MAX).step_by(stride);
         each_expected(&sweep, stations, views, |k, side, there| {
             let Expected { px, across, half_width_px, lift_px, gradient } = there;
             let view = &views[side];
-            sightings[k][side] = Some(Sighting {
+            sightings[k * stride][side] = Some(Sighting {
                 section: view.profiler.across(px, across, half_width_px, search_px),
                 object: view.mask.get(nearest(px.x), nearest(px.y)),
                 expected_px: px,
@@ -271,7 +241,7 @@ impl Refine {
                 gradient,
             });
         });
-        self.look_at_ends(model, pose, views, search_px + 3.5, EndLook::Close);
+        self.look_at_ends(model, pose, views, search_px + 3.5, how);
     }
 
     fn look_at_ends(
@@ -313,30 +283,6 @@ impl Refine {
                 })
             }));
         }
-    }
-
-    fn observe_masks(&mut self, model: &PoseModel, pose: &Isometry3<f64>, views: &[View; 2], search_px: f64) {
-        let sweep = self.sweep(model, pose);
-        let Self { equations, params, .. } = self;
-        equations.clear();
-        let stations = model.stations.iter().step_by(COARSE_STRIDE).filter(|s| !s.at_joint);
-        each_expected(&sweep, stations, views, |_, side, there| {
-            let widest_px = 3.2 * there.half_width_px + 1.0;
-            let run = mask_run(views[side].mask, there.px, there.across, search_px, widest_px);
-            let Some((middle, _)) = run.filter(|(_, width)| *width <= widest_px) else {
-                return;
-            };
-            equations.push(&Measurement {
-                residual_px: middle,
-                gradient: there.gradient,
-                sigma_px: 2.0 * params.section_sigma_px,
-                patience: 1.0,
-                shaded: model.straight_along.map(|_| side),
-            });
-        });
-        self.look_at_ends(model, pose, views, search_px + 4.0, EndLook::Quick);
-        let Self { equations, ends, params, .. } = self;
-        measure_ends(params, ends, |measurement, _| equations.push(&measurement));
     }
 
     /// Sets up the equations from what is seen; gives each measurement and where it comes from to `note`, too.
@@ -442,11 +388,6 @@ fn each_expected<'a>(
         }
         first += eight.len();
     }
-}
-
-/// How far a small twist about the part's centre moves its ends, at most.
-fn reach_mm(model: &PoseModel, twist: &Vector6<f64>) -> f64 {
-    twist.fixed_rows::<3>(0).norm() + twist.fixed_rows::<3>(3).norm() * model.length_mm / 2.0
 }
 
 /// `pose`, displaced and turned about the part's centre by a small twist in the left camera's axes.

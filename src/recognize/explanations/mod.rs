@@ -173,7 +173,15 @@ impl Explanations {
     /// Refines and judges hypotheses, each pose once; says whether there was time and room for all. Wire and ends that a certain
     /// explanation has are not explained again, unless by a longer part, of which it may be a piece; and poses that show no
     /// end are looked at last, where no sound explanation has their wire. A count of iterations is for the searches: what they find is always looked at.
-    pub(super) fn explain(&mut self, scene: &Scene, pool: &[Hypothesis], looking: &mut Watch) -> bool {
+    /// Poses are made coarse with the binary pictures; where these have been asked before and have not explained all, `again`, with
+    /// the grey values near them if possible.
+    pub(super) fn explain(
+        &mut self,
+        scene: &Scene,
+        pool: &[Hypothesis],
+        again: bool,
+        looking: &mut Watch,
+    ) -> bool {
         self.endless.clear();
         for hypothesis in pool {
             if looking.is_over() {
@@ -187,7 +195,11 @@ impl Explanations {
             {
                 continue;
             }
-            let Some(pose) = self.refine.coarse(&prepared.pose_model, rough, &scene.views) else { continue };
+            let model = &prepared.pose_model;
+            let near = again.then(|| self.refine.near(model, rough, &scene.views)).flatten();
+            let Some(pose) = near.or_else(|| self.refine.coarse(model, rough, &scene.views)) else {
+                continue;
+            };
             if !self.refine.shows_end() && self.endless.len() < EXPLANATIONS_MAX {
                 self.endless.push((*hypothesis, pose));
             } else {
