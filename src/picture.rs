@@ -3,7 +3,7 @@
 use crate::frame::{Frame, LumaView, PixelFormat};
 use crate::matching::nodes::{ImageNode, ImageNodes};
 use crate::recognize::{Params, Refusal, Side, StageTimes};
-use crate::rig::CameraModel;
+use crate::rig::{CameraModel, UndistortTable};
 use crate::time::Timestamp;
 use crate::vision::binarize::{self, Binarize, ColourRange};
 use crate::vision::bits::BitImage;
@@ -12,9 +12,12 @@ use crate::vision::graph::{self, Graph, Graphs};
 use crate::vision::luma::LumaPlane;
 use crate::vision::thin::whole::WholeThin;
 
+/// How far off the rays of nodes may be, in pixels: a twentieth of what a good node is.
+const RAY_ERROR_PX: f64 = 0.005;
+
 /// The stages of one camera and what they made of its last picture.
 pub struct Picture {
-    camera: CameraModel,
+    rays: UndistortTable,
     decoder: Decoder,
     luma: LumaPlane,
     binarize: Binarize,
@@ -48,14 +51,15 @@ impl Picture {
             mask: BitImage::new(width, height),
             skeleton: BitImage::new(width, height),
             graph,
-            camera,
+            rays: UndistortTable::new(&camera, RAY_ERROR_PX),
         })
     }
 
     pub(crate) fn run(&mut self, frame: &Frame, side: Side, stages: &mut StageTimes) -> Result<(), Refusal> {
-        if (frame.width, frame.height) != (self.camera.width, self.camera.height) {
+        let camera = self.rays.camera();
+        if (frame.width, frame.height) != (camera.width, camera.height) {
             let (width, height) = (frame.width, frame.height);
-            let (rig_width, rig_height) = (self.camera.width, self.camera.height);
+            let (rig_width, rig_height) = (camera.width, camera.height);
             return Err(Refusal::Size { side, width, height, rig_width, rig_height });
         }
         let begin = Timestamp::now();
@@ -80,7 +84,7 @@ impl Picture {
         self.graphs
             .run(&self.skeleton, &self.mask, Some(luma), &mut self.graph)
             .map_err(|reason| Refusal::Graph { side, reason })?;
-        self.image_nodes.run(&self.graph, &self.mask, &self.camera);
+        self.image_nodes.run(&self.graph, &self.mask, &self.rays);
         let done = Timestamp::now();
         let ns = |from: Timestamp, to: Timestamp| to.since(from).max(0) as u64;
         stages.decode_ns += ns(begin, decoded);

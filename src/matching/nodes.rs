@@ -7,7 +7,7 @@
 use nalgebra::Vector2;
 
 use crate::pose::section::mask_run;
-use crate::rig::CameraModel;
+use crate::rig::{CameraModel, UndistortTable};
 use crate::vision::bits::BitImage;
 use crate::vision::graph::{Graph, NONE, NodeKind};
 
@@ -120,8 +120,8 @@ impl ImageNodes {
         &self.nodes
     }
 
-    /// Lists the nodes of `graph`, seen through `camera`. Nodes over `nodes_max` are left out; bends come last.
-    pub fn run(&mut self, graph: &Graph, mask: &BitImage, camera: &CameraModel) {
+    /// Lists the nodes of `graph`; `rays` of the camera that it was seen with. Nodes over `nodes_max` are left out; bends come last.
+    pub fn run(&mut self, graph: &Graph, mask: &BitImage, rays: &UndistortTable) {
         self.nodes.clear();
         for node in graph.nodes.iter().take(self.params.nodes_max) {
             let position_px = vector(node.position_px);
@@ -131,7 +131,7 @@ impl ImageNodes {
                     NodeKind::Junction => NodeRole::Junction,
                 },
                 position_px,
-                ray: camera.undistort(position_px),
+                ray: rays.undistort(position_px),
                 half_thickness_px: node.half_thickness_px as f64,
                 end_visible: node.end_visible,
                 legs: Default::default(),
@@ -145,7 +145,7 @@ impl ImageNodes {
                 continue;
             }
             self.find_bends(chain, reach);
-            self.add_chain(edge.nodes, chain, reach, edge.half_thickness_px as f64, mask, camera);
+            self.add_chain(edge.nodes, chain, reach, edge.half_thickness_px as f64, mask, rays);
         }
     }
 
@@ -206,12 +206,12 @@ impl ImageNodes {
         reach: f64,
         half_thickness_px: f64,
         mask: &BitImage,
-        camera: &CameraModel,
+        rays: &UndistortTable,
     ) {
         let last = chain.len() - 1;
         let first_bend = self.bends.first().map_or(last, |b| b.0);
         let last_bend = self.bends.last().map_or(0, |b| b.0);
-        let leg = |from: usize, to: usize| leg_of(chain, from, to, reach, half_thickness_px, mask, camera);
+        let leg = |from: usize, to: usize| leg_of(chain, from, to, reach, half_thickness_px, mask, rays);
         let mut additions = [(usize::MAX, Leg::default()); 2];
         if ends[0] != NONE {
             additions[0] = (ends[0] as usize, leg(0, first_bend));
@@ -232,7 +232,7 @@ impl ImageNodes {
             let mut node = ImageNode {
                 role: NodeRole::Bend,
                 position_px: corner,
-                ray: camera.undistort(corner),
+                ray: rays.undistort(corner),
                 half_thickness_px,
                 end_visible: false,
                 legs: Default::default(),
@@ -285,7 +285,7 @@ fn leg_of(
     reach: f64,
     half_thickness_px: f64,
     mask: &BitImage,
-    camera: &CameraModel,
+    rays: &UndistortTable,
 ) -> Leg {
     let span = from.abs_diff(to);
     let skip = ((1.2 * half_thickness_px).round() as usize).min(span / 3);
@@ -299,8 +299,8 @@ fn leg_of(
     let norm = direction.norm();
     Leg {
         direction_px: if norm > 1e-9 { direction / norm } else { Vector2::zeros() },
-        far_ray: camera.undistort(far_px),
-        near_ray: camera.undistort(near_px),
+        far_ray: rays.undistort(far_px),
+        near_ray: rays.undistort(near_px),
         length_px: span as f64,
     }
 }
@@ -314,7 +314,8 @@ const TRACK_PX_MAX: f64 = 90.0;
 /// one wire and nothing is learnt; gives the farthest middle of it.
 fn track(mask: &BitImage, near: Vector2<f64>, far: Vector2<f64>, half_thickness_px: f64) -> Vector2<f64> {
     let mut last = far;
-    let step = half_thickness_px.max(2.0);
+    // What the mask shows a thickness farther on is another pair of outlines.
+    let step = (2.0 * half_thickness_px).max(2.0);
     let widest_px = 2.8 * half_thickness_px + 1.5;
     let mut distance = (far - near).norm() + step;
     while distance < TRACK_PX_MAX {

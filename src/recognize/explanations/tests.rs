@@ -21,7 +21,9 @@ fn after_a_pair() -> Recognizer {
     let pair = FramePair { left: picture("left"), right: picture("right") };
     let rig = Rig::read(replay.join("conveyor/calibration.yaml")).unwrap();
     let part = Part::read(replay.join("parts/rod-90.toml")).unwrap();
-    let mut recognizer = Recognizer::new(Params::default(), rig, vec![part]).unwrap();
+    // None of these is there, but many seem so.
+    let shorter = rod("rod-60", 60.0);
+    let mut recognizer = Recognizer::new(Params::default(), rig, vec![part, shorter]).unwrap();
     recognizer.run(&pair, Budget::Iterations(100_000), 1, &mut Recognition::default()).unwrap();
     recognizer
 }
