@@ -138,12 +138,13 @@ fn keep(hypothesis: Hypothesis, pool: &mut Vec<Hypothesis>) {
     }
 }
 
-/// Adds to `pool` the poses of part `part` that one stereo node and its legs hold.
+/// Adds to `pool` the poses of part `part` that one stereo node and its legs hold, of those that `may_lie` allows.
 pub fn of_single_node(
     params: &SingleParams,
     part: usize,
     judge: &Judge,
     single: &SingleNode,
+    may_lie: impl Fn(&Isometry3<f64>) -> bool,
     pool: &mut Vec<Hypothesis>,
 ) {
     let node = single.node;
@@ -153,7 +154,8 @@ pub fn of_single_node(
             continue;
         }
         let mut try_at = |directions: &[(Vector3<f64>, Vector3<f64>)]| {
-            let pose = motion_of_directions(&anchor.position_mm, &node.point_mm, directions)?;
+            let pose =
+                motion_of_directions(&anchor.position_mm, &node.point_mm, directions).filter(&may_lie)?;
             let coverage = judge.coverage(&pose, params.coverage_min)?;
             keep(single.hypothesis((part, a), judge, (pose, coverage), 0), pool);
             Some(())

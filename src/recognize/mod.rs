@@ -218,6 +218,9 @@ impl Recognizer {
         let thickness = parts.iter().map(|p| p.part.thickness_mm);
         let thickness_mm = [thickness.clone().fold(f64::INFINITY, f64::min), thickness.fold(0.0, f64::max)];
         let judge_of = |part: usize| parts[part].judge(rig, pictures, params);
+        let down = grasp::down_in_left(&params.grasp);
+        let may_lie =
+            |part: usize, pose: &Isometry3<f64>| !parts[part].is_too_steep(pose, &down, params.slope_rad_max);
         search.begin(rig, left, right, thickness_mm);
         search.run_exact(judge_of, budget);
         (out.spent.iterations, out.out_of_time) = (search.iterations(), search.is_out_of_time());
@@ -231,7 +234,8 @@ impl Recognizer {
                 out.spent.iterations += 1;
                 let images = [&left[node.left as usize], &right[node.right as usize]];
                 let single = SingleNode { index: n, node, images };
-                hypotheses::of_single_node(&params.single, index, &judge, &single, pool);
+                let may_lie = |pose: &Isometry3<f64>| may_lie(index, pose);
+                hypotheses::of_single_node(&params.single, index, &judge, &single, may_lie, pool);
             }
         }
         search.run_by_chance(rig, [left, right], judge_of, budget, &mut out.spent.iterations, seed);
@@ -241,13 +245,11 @@ impl Recognizer {
         for (index, prepared) in parts.iter().enumerate() {
             for found in search.matches(index) {
                 if pool.len() < HYPOTHESES_MAX {
-                    pool.extend(hypotheses::of_match(index, &prepared.match_model, found, search.nodes()));
+                    let pose = hypotheses::of_match(index, &prepared.match_model, found, search.nodes());
+                    pool.extend(pose.filter(|h| may_lie(index, &h.left_from_part)));
                 }
             }
         }
-        let down = grasp::down_in_left(&params.grasp);
-        let slope_rad_max = params.slope_rad_max;
-        pool.retain(|h| !parts[h.part].is_too_steep(&h.left_from_part, &down, slope_rad_max));
         pool.sort_unstable_by(|a, b| a.fitness.total_cmp(&b.fitness));
     }
 
