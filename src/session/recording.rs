@@ -86,7 +86,8 @@ fn index(file: &RecordingFile) -> Result<(Index, Vec<Moment>, f64, Option<u64>),
     index.check_names();
     let [left, right] = &mut index.pictures;
     if left.is_empty() || right.is_empty() {
-        return Err(RecordingError::NoPictures { path: file.path().to_owned(), topics: index.all_topics() });
+        let (path, topics) = (file.path().to_owned(), index.all_topics());
+        return Err(RecordingError::NoPictures { path, topics, broken_at });
     }
     for side in [&mut *left, &mut *right] {
         side.sort_by_key(|seen| seen.wall_ns);

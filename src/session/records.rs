@@ -62,13 +62,15 @@ pub enum RecordingError {
     /// No pictures of two cameras.
     #[error(
         "{}: no pictures of two cameras in it; needed are messages foxglove.CompressedImage or foxglove.RawImage in \
-         protobuf on one topic with left and one with right in its name; there are: {topics}", path.display()
+         protobuf on one topic with left and one with right in its name; there are: {topics}{}", path.display(), end_of(*broken_at)
     )]
     NoPictures {
         /// The file.
         path: PathBuf,
         /// Topics with schema and encoding.
         topics: String,
+        /// The byte at which it breaks off, if its end is missing.
+        broken_at: Option<u64>,
     },
     /// A message that says something else than its schema promises.
     #[error("{}: the message on {topic} at byte {at_byte} cannot be read ({reason}); record it again", path.display())]
@@ -82,6 +84,11 @@ pub enum RecordingError {
         /// What is wrong with it.
         reason: MessageError,
     },
+}
+
+/// That the end is missing, if it is.
+fn end_of(broken_at: Option<u64>) -> String {
+    broken_at.map_or_else(String::new, |byte| format!("; its end is missing: it breaks off at byte {byte}"))
 }
 
 /// What is wrong with a message.
