@@ -151,10 +151,11 @@ fn goes_straight_on(first: &PieceSight, last: &PieceSight, next: &PieceSight) ->
 
 /// The first and the last of the whole numbers below `count` from one number to another, if any.
 fn whole_within(from: f64, to: f64, count: usize) -> Option<[usize; 2]> {
+    let is_any = from <= to && to >= 0.0;
     let (from, to) = (from.max(0.0), to.min(count as f64 - 1.0));
     let below = from as usize;
     let first = below + usize::from((below as f64) < from);
-    (from <= to && first <= to as usize).then_some([first, to as usize])
+    (is_any && first <= to as usize).then_some([first, to as usize])
 }
 
 /// The nearest of [`DIRECTIONS`], from 0 along x on.

@@ -310,12 +310,15 @@ const TRACK_PX_MIN: f64 = 60.0;
 /// How far they are followed.
 const TRACK_PX_MAX: f64 = 90.0;
 
+/// Steps in which thick wire is followed.
+const TRACK_STEP_PX_MAX: f64 = 12.0;
+
 /// Follows the wire in the mask from `near` over `far` straight on, through crossings, where its width is not that of
 /// one wire and nothing is learnt; gives the farthest middle of it.
 fn track(mask: &BitImage, near: Vector2<f64>, far: Vector2<f64>, half_thickness_px: f64) -> Vector2<f64> {
     let mut last = far;
-    // What the mask shows a thickness farther on is another pair of outlines.
-    let step = (2.0 * half_thickness_px).max(2.0);
+    // Nearer than a thickness the outlines err alike.
+    let step = (2.0 * half_thickness_px).clamp(2.0, TRACK_STEP_PX_MAX);
     let widest_px = 2.8 * half_thickness_px + 1.5;
     let mut distance = (far - near).norm() + step;
     while distance < TRACK_PX_MAX {

@@ -6,12 +6,12 @@ use nalgebra::{Point3, Vector3};
 
 use crate::part::Part;
 
-/// Most points of the centreline of a bent part that lie half a thickness apart; else, and on straight parts, they lie a
-/// thickness apart. A bent part consists of short pieces, whose direction few points would tell.
-const DENSE_STATIONS_MAX: f64 = 256.0;
+/// The wire of a bent part has two points a thickness up to this length, in thicknesses: it consists of short pieces, whose
+/// direction few points would tell. Others have one.
+const DENSE_THICKNESSES_MAX: f64 = 128.0;
 
-/// Cosine of the angle from which on a wire bends between two stations.
-const STRAIGHT_COS: f64 = 0.996;
+/// From this angle in radians on, over a thickness, a wire bends.
+const BEND_RAD: f64 = 0.09;
 
 /// A point of the centreline at which the wire's place in the pictures is measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -62,7 +62,7 @@ pub struct FreeEnd {
 pub struct PoseModel {
     /// Points along the centreline.
     pub stations: Vec<Station>,
-    /// How many stations there are on a thickness of wire: those of one do not err independently of each other.
+    /// How many stations there are on a thickness of wire, which do not err independently of each other.
     pub per_thickness: usize,
     /// All stations, a few at a time.
     pub clusters: Vec<Cluster>,
@@ -85,7 +85,7 @@ impl PoseModel {
     pub fn new(part: &Part) -> Self {
         let radius_mm = part.thickness_mm / 2.0;
         let wire_mm = (0..part.edges.len()).map(|edge| part.edge_length_mm(edge)).sum::<f64>();
-        let is_dense = !part.is_straight() && 2.0 * wire_mm <= DENSE_STATIONS_MAX * part.thickness_mm;
+        let is_dense = !part.is_straight() && wire_mm <= DENSE_THICKNESSES_MAX * part.thickness_mm;
         let per_thickness = if is_dense { 2 } else { 1 };
         let step_mm = part.thickness_mm / per_thickness as f64;
         let joints: Vec<Point3<f64>> = (0..part.nodes.len())
@@ -113,7 +113,7 @@ impl PoseModel {
                 });
             }
         }
-        find_stretches(&mut stations);
+        find_stretches(&mut stations, step_mm / part.thickness_mm);
         let length_mm = stations.iter().map(|s| s.length_mm).sum();
         let centre =
             stations.iter().map(|s| s.position_mm.coords * s.length_mm).sum::<Vector3<f64>>() / length_mm;
@@ -131,9 +131,10 @@ impl PoseModel {
     }
 }
 
-/// Tells straight pieces of wire apart.
-fn find_stretches(stations: &mut [Station]) {
-    let goes_on = |a: &Station, b: &Station| a.edge == b.edge && a.tangent.dot(&b.tangent) > STRAIGHT_COS;
+/// Tells straight pieces of wire apart; the stations lie so many thicknesses from each other.
+fn find_stretches(stations: &mut [Station], step_thicknesses: f64) {
+    let straight_cos = (BEND_RAD * step_thicknesses).cos();
+    let goes_on = |a: &Station, b: &Station| a.edge == b.edge && a.tangent.dot(&b.tangent) > straight_cos;
     for (stretch, stations) in stations.chunk_by_mut(goes_on).enumerate() {
         let count = stations.len() as f64;
         for (k, station) in stations.iter_mut().enumerate() {

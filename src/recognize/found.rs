@@ -32,7 +32,7 @@ pub(super) fn found(
     let pose = e.fit.left_from_part;
     let placed = prepared.placed(&pose, 0.0);
     let grasp = grasp::grasp_of(&params.grasp, &placed);
-    let beside = displaced_by_lamp(shading.across_per_skew, prepared.pose_model.radius_mm, &e.verdict, views);
+    let beside = displaced_by_lamp(shading.across_per_skew, &prepared.pose_model, &e.verdict, views);
     let (sigma_mm, sigma_axis_rad) = sigmas(&params.grasp, prepared, &pose, &e.covariance, &beside);
     let sees = |side: usize, px: &Vector2<f64>| {
         pictures[side]

@@ -67,8 +67,8 @@ use views::{lit, views};
 const SEARCH_SHARE: f64 = 0.5;
 const LOOK_SHARE: f64 = 0.7;
 const COMPETE_SHARE: f64 = 0.5;
-/// Share of what must be seen of a part whose skeleton, unexplained, is reason to look for it: where it lies along another
-/// one, their wires have but one skeleton.
+/// Unexplained skeleton as long as this share of what must be seen of a part is reason to look for one: where it lies along
+/// another, their wires have but one skeleton.
 const UNEXPLAINED_SHARE: f64 = 0.5;
 /// Most hypotheses of a pair.
 const HYPOTHESES_MAX: usize = 16384;

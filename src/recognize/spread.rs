@@ -4,6 +4,7 @@ use nalgebra::{Isometry3, Matrix2, Matrix6, Vector2, Vector3};
 
 use super::prepared::Prepared;
 use crate::grasp;
+use crate::pose::model::PoseModel;
 use crate::pose::refine::View;
 use crate::pose::verify::{Sight, Verdict};
 
@@ -40,13 +41,13 @@ pub(super) fn sigmas(
 /// wires lies beside their middles.
 pub(super) fn displaced_by_lamp(
     per_skew: f64,
-    radius_mm: f64,
+    model: &PoseModel,
     verdict: &Verdict,
     views: &[View; 2],
 ) -> Vector3<f64> {
     let mut normal = Matrix2::zeros();
     let mut right_side = Vector2::zeros();
-    for piece in verdict.pieces.iter().step_by(SKEW_STRIDE) {
+    for piece in verdict.pieces.iter().step_by(SKEW_THICKNESSES * model.per_thickness) {
         for (seen, view) in piece.iter().zip(views).filter(|(seen, _)| seen.sight == Sight::Clear) {
             let Some(skew) = view.profiler.skew(seen.expected_px, seen.across, seen.half_width_px) else {
                 continue;
@@ -56,10 +57,10 @@ pub(super) fn displaced_by_lamp(
         }
     }
     let radii = normal.try_inverse().map_or(Vector2::zeros(), |inverse| inverse * right_side) * per_skew;
-    Vector3::new(radii.x, radii.y, 0.0) * radius_mm
+    Vector3::new(radii.x, radii.y, 0.0) * model.radius_mm
 }
 
-/// Every so many stations are looked at.
-const SKEW_STRIDE: usize = 6;
+/// Stations this many thicknesses apart are looked at.
+const SKEW_THICKNESSES: usize = 6;
 /// Along a straight wire nothing is seen of the lamp: it is taken for nought there.
 const ALONG_WEIGHT: f64 = 0.02;

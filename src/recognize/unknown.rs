@@ -113,7 +113,7 @@ impl Taken<'_> {
                 || all.iter().any(|p| pieces(p) && beside(p, NEAR_HALF_WIDTHS));
             meets && !all.iter().any(|p| beside(p, OWN_HALF_WIDTHS))
         });
-        // Claims leave single pixels out; a wire that comes near is seen over more than that.
+        // A few pixels beside a claim are none; a wire that comes near is seen over more than that.
         let many = half_px as usize + 1;
         near.take(many).count() == many
     }

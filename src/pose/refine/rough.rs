@@ -4,11 +4,11 @@ use nalgebra::{Isometry3, Vector6};
 
 use super::equations::{Measurement, Solution};
 use super::measure::measure_ends;
-use super::{Refine, View, each_expected};
+use super::{Refine, STATIONS_MAX, View, each_expected};
 use crate::pose::model::PoseModel;
 use crate::pose::section::{EndLook, mask_run};
 
-/// Every so many stations of a straight part are looked at while the pose is rough. The pieces of others are too short.
+/// Every so many stations are looked at while the pose is rough, but for parts of short pieces.
 const COARSE_STRIDE: usize = 3;
 /// A rough pose that moved by less than this, in radii of the wire, need not be moved again before it is refined.
 const COARSE_SETTLED_RADII: f64 = 1.5;
@@ -43,8 +43,8 @@ impl Refine {
     }
 
     /// Moves `start`, a rough pose, to where the grey values near it have the part: where wires touch, the binary pictures
-    /// may lead a [coarse](Refine::coarse) pose astray. `None` where no end is seen, and where a third or more of the few
-    /// stations looked at contradict.
+    /// may lead a [coarse](Refine::coarse) pose astray. `None` where no end is seen, and where a third or more of what is
+    /// looked at says something else.
     pub fn near(
         &mut self,
         model: &PoseModel,
@@ -60,7 +60,9 @@ impl Refine {
         self.observe_outlines(model, search_px, |_, _| {});
         let mut pose = *start;
         let Solution { misfit, believed, .. } = self.solve(model, &mut pose, &scales_px)?;
-        let looked = 2 * model.stations.len().div_ceil(stride);
+        let stations = model.stations.iter().take(STATIONS_MAX).step_by(stride).filter(|s| !s.at_joint);
+        let ends = self.ends.iter().flatten().flatten().filter(|end| end.beyond_px.is_some());
+        let looked = 2 * stations.count() + ends.count();
         (misfit < NEAR_MISFIT_MAX && 3 * believed > 2 * looked).then_some(pose)
     }
 
@@ -79,7 +81,8 @@ impl Refine {
         let sweep = self.sweep(model, pose);
         let Self { equations, params, .. } = self;
         equations.clear();
-        let stations = model.stations.iter().step_by(coarse_stride(model)).filter(|s| !s.at_joint);
+        let stations = model.stations.iter().take(STATIONS_MAX).step_by(coarse_stride(model));
+        let stations = stations.filter(|s| !s.at_joint);
         each_expected(&sweep, stations, views, |_, side, there| {
             let widest_px = 3.2 * there.half_width_px + 1.0;
             let run = mask_run(views[side].mask, there.px, there.across, search_px, widest_px);
@@ -102,7 +105,7 @@ impl Refine {
 
 /// Every so many stations are looked at while the pose is rough.
 fn coarse_stride(model: &PoseModel) -> usize {
-    if model.straight_along.is_some() { COARSE_STRIDE } else { 1 }
+    if model.per_thickness == 1 { COARSE_STRIDE } else { 1 }
 }
 
 /// How far a small twist about the part's centre moves its ends, at most.
