@@ -179,14 +179,15 @@ fn direction_of(across: &Vector2<f64>) -> i32 {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use std::f64::consts::{SQRT_2, TAU};
 
     use proptest::prelude::*;
 
     use super::*;
 
-    fn piece(x: f64, y: f64, across: [f64; 2]) -> PieceSight {
+    /// A piece of wire of seven pixels, clearly seen.
+    pub(in super::super) fn piece(x: f64, y: f64, across: [f64; 2]) -> PieceSight {
         PieceSight {
             sight: Sight::Clear,
             expected_px: Vector2::new(x, y),

@@ -188,18 +188,10 @@ mod tests {
 
     use nalgebra::Vector2;
 
+    use super::super::claims::tests::piece;
     use super::*;
     use crate::part::Part;
-    use crate::pose::verify::{OnwardPiece, PieceSight};
-
-    fn piece(x: f64, y: f64, across: [f64; 2]) -> PieceSight {
-        PieceSight {
-            sight: Sight::Clear,
-            expected_px: Vector2::new(x, y),
-            across: Vector2::from(across).normalize(),
-            half_width_px: 3.5,
-        }
-    }
+    use crate::pose::verify::OnwardPiece;
 
     #[test]
     fn wire_that_goes_on_and_is_known_to_be_anothers_speaks_against_nobody() {

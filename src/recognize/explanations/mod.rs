@@ -170,11 +170,11 @@ impl Explanations {
         &self.claims
     }
 
-    /// Refines and judges hypotheses, each pose once; says whether there was time and room for all. Wire and ends that a certain
-    /// explanation has are not explained again, unless by a longer part, of which it may be a piece; and poses that show no
-    /// end are looked at last, where no sound explanation has their wire. A count of iterations is for the searches: what they find is always looked at.
-    /// Poses are made coarse with the binary pictures; where these have been asked before and have not explained all, `again`, with
-    /// the grey values near them if possible.
+    /// Refines and judges hypotheses, each pose once; says whether there was time and room for all. Wire and ends that a
+    /// certain explanation has are not explained again, unless by a longer part, of which it may be a piece; and poses that
+    /// show no end are looked at last, where no sound explanation has their wire. A count of iterations is for the
+    /// searches: what they find is always looked at. Poses are made coarse with the binary pictures; where these have been
+    /// asked before and have not explained all, `again`, with the grey values near them if possible.
     pub(super) fn explain(
         &mut self,
         scene: &Scene,
