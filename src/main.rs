@@ -5,8 +5,9 @@ use std::io::Write;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand, ValueEnum};
-use firmware_bridge::outside::LogOutput;
+use firmware_bridge::log;
 use pickcell::commands::{accuracy, check, devices, recognize, run, session};
+use tracing_subscriber::EnvFilter;
 
 /// Drives a robot cell: two webcams see thin parts in a bin, the arm gets grasp targets
 #[derive(Parser)]
@@ -84,25 +85,12 @@ fn print(format: LogFormat, text: &str, code: u8) -> ExitCode {
 
 /// Diagnostics go to standard error; `PICKCELL_LOG` chooses what, as in `PICKCELL_LOG=debug`.
 fn start_log(format: LogFormat) {
-    use tracing_subscriber::EnvFilter;
     let filter = EnvFilter::try_from_env("PICKCELL_LOG").unwrap_or_else(|_| EnvFilter::new("info"));
-    let log = tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(|| LogOutput)
-        .with_ansi(std::io::IsTerminal::is_terminal(&std::io::stderr()));
-    let started = match format {
-        LogFormat::Text => log.with_target(false).try_init(),
-        LogFormat::Json => log.json().try_init(),
-    };
-    // a second logger in one process is no reason to stop
-    drop(started);
+    log::start(filter, format == LogFormat::Json);
 }
 
 /// Says what went wrong, and gives the exit code.
 fn fail(format: LogFormat, error: &dyn Display, code: u8) -> ExitCode {
-    match format {
-        LogFormat::Text => drop(writeln!(LogOutput, "error: {error}")),
-        LogFormat::Json => tracing::error!("{error}"),
-    }
+    log::fail("error", error, format == LogFormat::Json);
     code.into()
 }

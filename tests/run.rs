@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::io::{BufRead, BufReader, Write};
+use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -88,6 +89,25 @@ fn a_session_gives_a_line_and_a_picture_a_pair_and_a_table() {
     assert!(row(&text, "targets sent").unwrap() >= 1);
     assert!(text.contains("no target: arm busy") && text.contains("frame to wire"));
     assert!(fs::read_to_string(cell.path("out/place.state")).unwrap().contains("next_slot = 1"));
+}
+
+#[test]
+fn lines_may_be_left_to_the_pairs_where_something_changes() {
+    let lines = |lines: &str| {
+        let output = Cell::fast(&[]).run(&["--overlay", "none", "--lines", lines]);
+        stdout(&output).lines().filter(|line| line.starts_with("pair ")).map(why).collect::<Vec<_>>()
+    };
+    fn why(line: &str) -> String {
+        // Without the target's number, which is another in every run.
+        line.rsplit_once("  ").unwrap().1.replace(char::is_numeric, "")
+    }
+    let all = lines("all");
+    assert_eq!(all.len(), 20);
+    let mut changes = all.clone();
+    changes.dedup_by(|b, a| a == b && !b.starts_with("target"));
+    assert!(changes.len() < 20);
+    assert_eq!(lines("changes"), changes);
+    assert!(lines("none").is_empty());
 }
 
 #[test]
@@ -185,6 +205,43 @@ fn a_camera_by_its_number_is_warned_of() {
     let warning =
         "cameras.left.device = \"/dev/video94\" is a number that changes when cameras are plugged in anew";
     assert_eq!(said.matches(warning).count(), 1, "{said}");
+}
+
+#[test]
+fn a_service_stands_before_its_cameras_and_says_what_it_waits_for() {
+    let cameras = ["left", "right"].map(|side| {
+        format!("[cameras.{side}]\ndevice = \"/dev/pickcell/{side}\"\nformat = \"MJPG\"\nwidth = 640\nheight = 480\nrate_hz = 30\n")
+    });
+    let rig = format!("{}[rig]", cameras.concat());
+    let cell = Cell::new(&[("backend = \"replay\"", "backend = \"v4l2\""), ("[rig]", &rig)]);
+    let manager = UnixDatagram::bind(cell.path("notify")).unwrap();
+    manager.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+    let mut child = cell
+        .command(&["--wait"])
+        .env("NOTIFY_SOCKET", cell.path("notify"))
+        .env("WATCHDOG_USEC", "1000000")
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let hear = |wanted: &str| {
+        loop {
+            let mut text = [0; 1024];
+            let n = manager.recv(&mut text).expect("a word of the cell");
+            let text = String::from_utf8_lossy(&text[..n]).into_owned();
+            if text.contains(wanted) {
+                return text;
+            }
+        }
+    };
+    hear("READY=1");
+    let status = hear("right camera: unplugged");
+    assert!(status.starts_with("STATUS=left camera: unplugged") && status.contains("| 0 pairs"), "{status}");
+    hear("WATCHDOG=1");
+    hear("WATCHDOG=1");
+    kill_process(Pid::from_child(&child), Signal::TERM).unwrap();
+    hear("STOPPING=1");
+    assert_eq!(child.wait().unwrap().code(), Some(0));
 }
 
 /// A pick as a recording holds it, and what the arm said to it and when, ms.

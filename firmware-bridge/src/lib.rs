@@ -9,7 +9,8 @@
 //! | [`dialect`] | one state machine per language of arms: messages in, bytes out, and back | hot, pure |
 //! | [`gcode`] | the dialects of G-code: move templates, Grbl, Marlin, uArm | hot but for the templates, pure |
 //! | [`link`] | serial line, shared memory, simulated and recorded arm: what carries it | edge |
-//! | [`outside`] | signals, log and text files of a process, of the driver too | edge |
+//! | [`log`] | standard error or the journal, of the driver too | edge |
+//! | [`outside`] | signals, outputs and text files of a process, of the driver too | edge |
 //! | [`realtime`] | rights that hot threads ask the system for, of the driver too | edge |
 //! | [`simulate`] | the firmware's end of each language, with faults on demand | pure |
 //!
@@ -30,6 +31,8 @@ pub mod gate;
 pub mod gcode;
 #[cfg(feature = "std")]
 pub mod link;
+#[cfg(feature = "std")]
+pub mod log;
 #[cfg(feature = "std")]
 pub mod outside;
 #[cfg(feature = "std")]

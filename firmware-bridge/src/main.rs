@@ -6,6 +6,7 @@ mod commands;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
+use tracing_subscriber::EnvFilter;
 
 /// The arm's side of a PickCell.
 #[derive(Parser)]
@@ -31,7 +32,8 @@ enum Command {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    commands::start_log(arguments.log, arguments.log_format);
+    let filter = EnvFilter::new(arguments.log.to_string());
+    firmware_bridge::log::start(filter, arguments.log_format == commands::Format::Json);
     let result = match arguments.command {
         Command::Run(arguments) => commands::run::run(&arguments),
         Command::Simulate(arguments) => commands::simulate::run(&arguments),

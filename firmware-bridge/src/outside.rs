@@ -1,8 +1,8 @@
-//! What a process has to do with the world that started it: signals that end it, a log that must not, and files that
-//! somebody named.
+//! What a process has to do with the world that started it: signals that end it, outputs that nobody reads, and files
+//! that somebody named.
 
 use std::fs::File;
-use std::io::{self, Read, Write};
+use std::io::{self, Read};
 use std::os::fd::AsFd;
 use std::path::Path;
 use std::time::Duration;
@@ -61,27 +61,10 @@ pub fn has_room(output: impl AsFd, within: Duration) -> bool {
     !matches!(poll(&mut [PollFd::new(&output, PollFlags::OUT)], Some(&timeout)), Ok(0))
 }
 
-/// Standard error for a log: what cannot be written there at once is lost. A full disk, a paused terminal, or a reader
-/// that has gone must not stop an arm; a logger that gets an error would complain on standard error, and panic over that.
-#[derive(Debug, Default)]
-pub struct LogOutput;
-
-impl Write for LogOutput {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        if has_room(io::stderr(), Duration::ZERO) {
-            let _ = io::stderr().write_all(bytes);
-        }
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::io::Write;
 
     #[test]
     fn a_file_without_an_end_is_refused() {

@@ -294,6 +294,41 @@ fn a_log_that_cannot_be_written_stops_nothing_and_a_failure_is_a_line_of_it() {
 }
 
 #[test]
+fn the_journal_gets_priorities_and_a_bridge_waits_for_its_arm() {
+    use std::os::unix::fs::MetadataExt;
+    let folder = tempfile::tempdir().unwrap();
+    let journal = |name: &str| {
+        let file = std::fs::File::create(folder.path().join(name)).unwrap();
+        let about = file.metadata().unwrap();
+        (file, format!("{}:{}", about.dev(), about.ino()))
+    };
+    let (cell, _) = write_cell(folder.path(), "journal", "shared-memory");
+    let program = |wait: &[&str], name: &str| {
+        let (file, stream) = journal(name);
+        let mut program = Process::new(env!("CARGO_BIN_EXE_firmware-bridge"));
+        program.args(["run", "--cell", cell.to_str().unwrap()]).args(wait);
+        Running(program.env("JOURNAL_STREAM", stream).stderr(file).spawn().unwrap())
+    };
+    let mut hasty = program(&[], "hasty");
+    assert_eq!(hasty.0.wait().unwrap().code(), Some(2));
+    let said = std::fs::read_to_string(folder.path().join("hasty")).unwrap();
+    assert!(said.starts_with("<3>firmware-bridge: cannot open the arm's serial port"), "{said}");
+    let mut patient = program(&["--wait"], "patient");
+    let said = || std::fs::read_to_string(folder.path().join("patient")).unwrap();
+    let wait_for = |words: &str| {
+        let start_ns = clock_ns();
+        while !said().contains(words) {
+            assert!(clock_ns() - start_ns < PATIENCE_NS, "{words:?} in {}", said());
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+    };
+    wait_for("<6>the bridge stands port=");
+    let _arm = simulate(&folder.path().join("arm"), "own", &[]);
+    wait_for("<6>arm report=Connected");
+    assert_eq!(patient.terminate(), Some(0));
+}
+
+#[test]
 fn a_hang_up_ends_a_bridge_well() {
     let folder = tempfile::tempdir().unwrap();
     let _arm = simulate(&folder.path().join("arm"), "own", &[]);

@@ -31,6 +31,14 @@ impl Arm {
         Ok(Arm::Linked(Box::new(Link::open(settings, session_seed)?)))
     }
 
+    /// Like [`Arm::open`], but a serial port that is not there is waited for, as one that was unplugged is.
+    ///
+    /// # Errors
+    /// What else is missing or taken, with the remedy.
+    pub fn open_or_wait(settings: &Settings, session_seed: u32) -> Result<Self, LinkError> {
+        Ok(Arm::Linked(Box::new(Link::open_or_wait(settings, session_seed)?)))
+    }
+
     /// The arm of a recorded session, which answers the n-th target as it answered its n-th.
     pub fn recorded(settings: &Settings, answers: Answers, session_seed: u32) -> Self {
         Arm::Linked(Box::new(Link::recorded(settings, answers, session_seed)))

@@ -154,7 +154,7 @@ impl<'a> Carrier<'a> {
             self.act(action, now);
         }
         self.actions = actions;
-        self.desk.telemetry.publish(self.core.counts());
+        self.desk.telemetry.publish(self.core.state(), self.core.counts());
     }
 
     fn frame(&mut self, side: Side, mut frame: Frame, condition: Condition, skipped: u32, now: Timestamp) {

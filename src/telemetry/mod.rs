@@ -5,11 +5,11 @@
 
 mod histogram;
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 
 pub use histogram::{Histogram, Summary};
 
-use crate::cell::core::{Cause, Counts, NoPick};
+use crate::cell::core::{Cause, Counts, NoPick, State};
 
 /// A part of the way from light to wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -83,6 +83,7 @@ pub struct Telemetry {
     stages: [Histogram; Stage::ALL.len()],
     counts: [AtomicU64; Cause::ALL.len()],
     no_picks: [AtomicU64; NoPick::KINDS.len()],
+    state: AtomicU8,
     unshown: AtomicU64,
     unlogged: AtomicU64,
     unkept: AtomicU64,
@@ -95,6 +96,7 @@ impl Telemetry {
             stages: std::array::from_fn(|_| Histogram::new()),
             counts: std::array::from_fn(|_| AtomicU64::new(0)),
             no_picks: std::array::from_fn(|_| AtomicU64::new(0)),
+            state: AtomicU8::new(State::Absent as u8),
             unshown: AtomicU64::new(0),
             unlogged: AtomicU64::new(0),
             unkept: AtomicU64::new(0),
@@ -111,11 +113,17 @@ impl Telemetry {
         &self.stages[stage as usize]
     }
 
-    /// Makes the core's counts readable for the other threads.
-    pub fn publish(&self, counts: &Counts) {
+    /// Makes the core's state and counts readable for the other threads.
+    pub fn publish(&self, state: State, counts: &Counts) {
+        self.state.store(state as u8, Ordering::Relaxed);
         for cause in Cause::ALL {
             self.counts[cause as usize].store(counts.get(cause), Ordering::Relaxed);
         }
+    }
+
+    /// What the arm is doing.
+    pub fn state(&self) -> State {
+        State::ALL[usize::from(self.state.load(Ordering::Relaxed))]
     }
 
     /// So many up to now.
@@ -185,7 +193,10 @@ mod tests {
         }
         let mut counts = Counts::default();
         counts.add(Cause::Sent, 3);
-        telemetry.publish(&counts);
+        for state in State::ALL {
+            telemetry.publish(state, &counts);
+            assert_eq!(telemetry.state(), state);
+        }
         assert_eq!((telemetry.count(Cause::Sent), telemetry.count(Cause::Done)), (3, 0));
         telemetry.add_no_pick(&NoPick::ArmBusy);
         assert_eq!(telemetry.no_picks().collect::<Vec<_>>(), [("arm busy", 1)]);

@@ -5,8 +5,8 @@ pub(crate) mod simulate;
 
 use firmware_bridge::config::ConfigError;
 use firmware_bridge::link::LinkError;
-use firmware_bridge::outside::{LogOutput, ending_signals};
-use std::io::{IsTerminal, Write};
+use firmware_bridge::log;
+use firmware_bridge::outside::ending_signals;
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -81,24 +81,8 @@ pub(crate) fn signalled(mut signals: &UnixStream) -> bool {
     matches!(std::io::Read::read(&mut signals, &mut [0; 8]), Ok(len) if len > 0)
 }
 
-/// Log lines go to standard error.
-pub(crate) fn start_log(level: tracing::level_filters::LevelFilter, format: Format) {
-    let log = tracing_subscriber::fmt()
-        .with_max_level(level)
-        .with_writer(|| LogOutput)
-        .with_ansi(std::io::stderr().is_terminal())
-        .with_target(false);
-    match format {
-        Format::Text => log.init(),
-        Format::Json => log.json().init(),
-    }
-}
-
 /// Says why a command failed, and gives the exit code.
 pub(crate) fn fail(failure: &Failure, format: Format) -> ExitCode {
-    match format {
-        Format::Text => drop(writeln!(LogOutput, "firmware-bridge: {failure}")),
-        Format::Json => tracing::error!("{failure}"),
-    }
+    log::fail("firmware-bridge", failure, format == Format::Json);
     failure.exit_code()
 }

@@ -25,6 +25,9 @@ pub(crate) struct Arguments {
     /// is not.
     #[arg(long, default_value = "cell.toml", value_name = "FILE")]
     cell: PathBuf,
+    /// Wait for a serial port that is not there, as a service does that is started before it; else that is an error.
+    #[arg(long)]
+    wait: bool,
 }
 
 /// Both ends of the bridge.
@@ -40,7 +43,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let signals = super::catch_signals()?;
     let settings = Settings::read(&arguments.cell)?;
     let thread = ArmThread::read(&arguments.cell)?;
-    let arm = SerialLink::open(&settings, 1)?;
+    let arm = match arguments.wait {
+        true => SerialLink::open_or_wait(&settings, 1)?,
+        false => SerialLink::open(&settings, 1)?,
+    };
     let ports =
         Ports::open(&settings.arm.service, Side::Bridge).map_err(firmware_bridge::link::LinkError::from)?;
     tracing::info!(port = %arm.path().display(), service = settings.arm.service, "the bridge stands");

@@ -95,6 +95,18 @@ impl Link {
         }
     }
 
+    /// Like [`Link::open`], but a serial port that is not there is waited for, as one that was unplugged is: a service
+    /// may be started before its devices.
+    ///
+    /// # Errors
+    /// What else is missing or taken, with the remedy.
+    pub fn open_or_wait(settings: &Settings, session_seed: u32) -> Result<Self, LinkError> {
+        match settings.arm.link {
+            LinkName::Serial => Ok(Link::Serial(SerialLink::open_or_wait(settings, session_seed)?)),
+            _ => Link::open(settings, session_seed),
+        }
+    }
+
     /// The arm of a recorded session, by its answers; `session_seed` decides the numbers of its sessions.
     pub fn recorded(settings: &Settings, answers: Answers, session_seed: u32) -> Self {
         Link::Recorded(RecordedLink::new(settings, answers, session_seed))

@@ -16,6 +16,9 @@ use std::path::{Path, PathBuf};
 
 const MS: i64 = 1_000_000;
 
+/// How long udev has to give the rights to a device that has just come.
+const RIGHTS_WITHIN_NS: i64 = 5000 * MS;
+
 /// Why a serial port cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum SerialError {
@@ -84,11 +87,42 @@ impl SerialLink {
     /// # Errors
     /// A port that is not there, busy, forbidden or no serial device; a move template that cannot be taken.
     pub fn open(settings: &Settings, session_seed: u32) -> Result<Self, LinkError> {
+        Self::with(settings, session_seed, |path, baud| Port::open(path, baud).map(Some))
+    }
+
+    /// Like [`SerialLink::open`], but a port that is not there is waited for, as one that was unplugged is; and for a
+    /// moment also one that is forbidden, because udev gives the rights a moment after the kernel gave the device.
+    ///
+    /// # Errors
+    /// A port that is busy, forbidden or no serial device; a move template that cannot be taken.
+    pub fn open_or_wait(settings: &Settings, session_seed: u32) -> Result<Self, LinkError> {
+        let until_ns = super::clock_ns() + RIGHTS_WITHIN_NS;
+        Self::with(settings, session_seed, |path, baud| {
+            loop {
+                match Port::open(path, baud) {
+                    Err(SerialError::Open { reason: Errno::NOENT | Errno::NXIO | Errno::NODEV, .. }) => {
+                        return Ok(None);
+                    }
+                    Err(SerialError::Open { reason: Errno::ACCESS, .. }) if super::clock_ns() < until_ns => {
+                        std::thread::sleep(std::time::Duration::from_millis(100));
+                    }
+                    opened => return opened.map(Some),
+                }
+            }
+        })
+    }
+
+    fn with(
+        settings: &Settings,
+        session_seed: u32,
+        open: impl FnOnce(&Path, u32) -> Result<Option<Port>, SerialError>,
+    ) -> Result<Self, LinkError> {
         let arm = &settings.arm;
         let path = arm.port.clone().ok_or(SerialError::NoPort)?;
+        let dialect = Dialect::new(settings, super::life_number(session_seed))?;
         let mut link = Self {
-            dialect: Dialect::new(settings, super::life_number(session_seed))?,
-            port: Some(Port::open(&path, arm.baud)?),
+            dialect,
+            port: open(&path, arm.baud)?,
             path,
             baud: arm.baud,
             byte_ns: 10_000_000_000 / i64::from(arm.baud),
@@ -102,7 +136,9 @@ impl SerialLink {
             reopen_ns: 0,
             reopen_pause_ns: i64::from(arm.reopen_min_ms) * MS,
         };
-        link.dialect.on_link(true, super::clock_ns());
+        if link.port.is_some() {
+            link.dialect.on_link(true, super::clock_ns());
+        }
         Ok(link)
     }
 
@@ -308,6 +344,27 @@ pub(super) mod tests {
         now_ns += MS;
         link.poll(now_ns);
         assert!(rustix::io::read(&master, &mut bytes).unwrap() > 8, "hello again");
+    }
+
+    #[test]
+    fn a_port_that_is_not_there_yet_is_waited_for_where_that_is_wanted() {
+        let folder = tempfile::tempdir().unwrap();
+        let stable = folder.path().join("arm");
+        let mut settings = settings();
+        settings.arm.port = Some(stable.clone());
+        assert!(SerialLink::open(&settings, 1).is_err());
+        let mut link = SerialLink::open_or_wait(&settings, 1).unwrap();
+        assert_eq!((link.poll(clock_ns()), link.fd().is_none()), (None, true));
+        assert_eq!(link.command(Command::Release, clock_ns()), Err(Refusal::NotConnected));
+        let (master, path) = pty();
+        std::os::unix::fs::symlink(&path, &stable).unwrap();
+        link.poll(link.next_deadline_ns().unwrap());
+        assert!(rustix::io::read(&master, &mut [0; 64]).unwrap() > 8, "a hello");
+        settings.arm.port = Some("/dev/null".into());
+        assert!(
+            SerialLink::open_or_wait(&settings, 1).is_err(),
+            "what is no serial device is not waited for"
+        );
     }
 
     #[test]

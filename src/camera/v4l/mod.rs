@@ -5,10 +5,12 @@
 //! its controls set and read back, after every loss anew.
 //!
 //! ```text
-//!          opened                      first frame: Back
+//!          opened (*)                  first frame: Back
 //!  closed ────────► awaiting the first ────────────────► streaming
 //!    ▲                     │ none in time                    │ unplugged, stalled, error: Lost
 //!    └─────────────────────┴─────────────────────────────────┘   pause: 0.1 s, doubled up to 2 s
+//!
+//!  (*) a device that is not there at the first attempt is Lost, too
 //! ```
 
 pub mod buffers;
@@ -45,6 +47,9 @@ const FIRST_FRAME_WITHIN: Duration = Duration::from_secs(4);
 
 /// The first pause before a lost camera is opened again, and the longest.
 const REOPEN_PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(2));
+
+/// Of RGB3, the largest of the formats.
+const BYTES_PER_PIXEL_MAX: usize = 3;
 
 /// A stamp further ahead than this, or further before the stream began, is not of the clock that its flag names, ns.
 const STAMP_OFF_NS_MAX: i64 = 10_000_000_000;
@@ -86,36 +91,48 @@ impl V4lCamera {
         V4lCamera::open_within(settings, Duration::ZERO)
     }
 
-    /// Like [`open`](V4lCamera::open), but waits at most `patience` for a device that is not there: at boot USB
-    /// cameras come after the services, and udev takes a link away for a moment when it makes it anew.
+    /// Like [`open`](V4lCamera::open), but waits at most `patience` for a device that is not there or forbidden: at
+    /// boot USB cameras come after the services, and udev takes a link away for a moment when it makes it anew.
     ///
     /// # Errors
-    /// What is in the way, with what to do about it; at once, unless it is [`CameraError::Absent`].
+    /// What is in the way, with what to do about it; at once, unless it is [`CameraError::Absent`] or
+    /// [`CameraError::NoAccess`].
     pub fn open_within(settings: CameraSettings, patience: Duration) -> Result<Self, CameraError> {
         let until = Timestamp::now().after(patience);
         let stream = loop {
             match Stream::open(&settings) {
-                Err(CameraError::Absent { .. }) if Timestamp::now() < until => {
+                Err(CameraError::Absent { .. } | CameraError::NoAccess { .. })
+                    if Timestamp::now() < until =>
+                {
                     std::thread::sleep(REOPEN_PAUSE.0)
                 }
                 opened => break opened?,
             }
         };
-        Ok(V4lCamera {
+        let mut camera = V4lCamera::closed(settings);
+        camera.stream = Some(stream);
+        Ok(camera)
+    }
+
+    /// One that is not open: [`V4lCamera::grab`] opens it when it comes, as one that was unplugged.
+    pub fn closed(settings: CameraSettings) -> Self {
+        Self {
             settings,
-            stream: Some(stream),
+            stream: None,
             retry_at: Timestamp::default(),
             pause: REOPEN_PAUSE.0,
             was_lost: false,
             unknown_clock_told: false,
             told: None,
             sleep: Sleep::until_now(Clocks::now),
-        })
+        }
     }
 
-    /// Bytes that a frame of it has at most, for the pool. 0 while it is closed.
+    /// Bytes that a frame of it has at most, for the pool; while it is closed, what the most wasteful of drivers
+    /// would say.
     pub fn frame_bytes_max(&self) -> usize {
-        self.stream.as_ref().map_or(0, |stream| stream.buffer_bytes)
+        let most = self.settings.width as usize * self.settings.height as usize * BYTES_PER_PIXEL_MAX;
+        self.stream.as_ref().map_or(most, |stream| stream.buffer_bytes)
     }
 
     /// Waits for the next frame, at most `timeout`, and copies it into `frame`. Damaged and short ones bring no
@@ -138,7 +155,7 @@ impl V4lCamera {
             Ok(stream) => self.stream = Some(stream),
             Err(error) => {
                 self.tell(&error);
-                self.back_off();
+                return self.lose(error.trouble());
             }
         }
         Grab::TimedOut
@@ -148,7 +165,7 @@ impl V4lCamera {
     fn tell(&mut self, error: &CameraError) {
         let problem = error.to_string();
         if self.told.as_ref() != Some(&problem) {
-            tracing::warn!("not open again: {problem}");
+            tracing::warn!("cannot be opened: {problem}");
             self.told = Some(problem);
         }
     }
@@ -209,7 +226,7 @@ impl V4lCamera {
         }
     }
 
-    /// Closes the camera; the cell hears of it once, and only if it had frames before.
+    /// Closes the camera; the cell hears of it once, until there are frames again.
     fn lose(&mut self, trouble: Trouble) -> Grab {
         if let Some(stream) = self.stream.take() {
             stream.buffers.stop(&stream.device);
@@ -429,6 +446,17 @@ mod tests {
         std::fs::remove_dir_all(&folder).expect("removed");
         let fault = V4lCamera::open_within(asked, Duration::from_millis(150)).expect_err("no camera");
         assert!(matches!(fault, CameraError::Absent { .. }), "{fault}");
+    }
+
+    #[test]
+    fn a_camera_that_never_came_is_lost_once_and_looked_for() {
+        let mut camera = V4lCamera::closed(settings("/dev/v4l/by-path/none"));
+        assert_eq!(camera.frame_bytes_max(), 640 * 480 * 3);
+        let mut grab = || camera.grab(&mut Frame::default(), Duration::from_millis(1));
+        assert_eq!(grab(), Grab::Lost(Trouble::Unplugged));
+        for _ in 0..200 {
+            assert_eq!(grab(), Grab::TimedOut);
+        }
     }
 
     #[test]

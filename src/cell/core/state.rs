@@ -25,6 +25,22 @@ pub enum State {
     Stopping,
 }
 
+impl State {
+    /// All of them, in order.
+    pub const ALL: [State; 10] = [
+        State::Absent,
+        State::Held,
+        State::Alarmed,
+        State::Releasing,
+        State::Looking,
+        State::Ordered,
+        State::Sent,
+        State::Accepted,
+        State::Moving,
+        State::Stopping,
+    ];
+}
+
 impl std::fmt::Display for State {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {

@@ -31,9 +31,16 @@ pub struct RunArgs {
     /// Which pairs get an overlay picture; default: all of a recorded session, none of live cameras and of a soak
     #[arg(long, value_enum)]
     pub overlay: Option<Overlays>,
+    /// Which pairs get a line on standard output
+    #[arg(long, value_enum, default_value_t = Lines::All)]
+    pub lines: Lines,
     /// How results are written to standard output
     #[arg(long, value_enum, default_value_t = Format::Text)]
     pub format: Format,
+    /// Wait for cameras and a serial port that are not there, as a service does that is started before them; without
+    /// it that is an error after five seconds
+    #[arg(long)]
+    pub wait: bool,
     /// Endurance test: repeat the recorded session until so many pairs were played, print no lines, fail (exit
     /// code 1) on a missed deadline or growing memory. Where the cell sets no deadline, it is one period of --rate
     #[arg(long, value_name = "PAIRS", value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
@@ -51,6 +58,17 @@ pub struct RunArgs {
 pub enum Overlays {
     /// Every pair
     All,
+    /// No pair
+    None,
+}
+
+/// Which pairs get a line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Lines {
+    /// Every pair
+    All,
+    /// Those that lead to a target, or to none for another reason than the pair before
+    Changes,
     /// No pair
     None,
 }

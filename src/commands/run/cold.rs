@@ -9,10 +9,11 @@ use firmware_bridge::outside::has_room;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
-use super::args::{Format, Overlays, RunArgs};
+use super::args::{Format, Lines, Overlays, RunArgs};
 use super::entries::line_of;
 use super::paint::{Painter, Studio};
 use super::record::Recorder;
+use super::standing::{self, Standing};
 use super::summary::{self, Endurance};
 use super::{RunError, place};
 use crate::camera::Side;
@@ -27,7 +28,7 @@ use crate::recognize::FoundPart;
 use crate::rig::Rig;
 use crate::time::Timestamp;
 
-/// systemd is told a new status at most this often, ns.
+/// systemd is told new counts so often, ns.
 const STATUS_NS: i64 = 2_000_000_000;
 /// How long the table at the end waits for somebody to take it.
 const LAST_WORDS: Duration = Duration::from_secs(2);
@@ -37,6 +38,9 @@ pub(super) struct Cold {
     desk: Arc<Desk>,
     seat: ColdSeat,
     format: Format,
+    lines: Lines,
+    /// Why the last pair led to no target, and whether it kept its deadline.
+    last: Option<(usize, bool)>,
     bar: ProgressBar,
     recorder: Option<Recorder>,
     studio: Option<Studio>,
@@ -56,7 +60,9 @@ pub(super) struct Cold {
     /// Pairs that took longer than the deadline by the wall clock, also where the session's own time stood still.
     slow: u64,
     pairs: u64,
-    status_at: Timestamp,
+    standing: Standing,
+    /// What systemd was told last, and when.
+    status: (String, Timestamp),
     failed: Option<RunError>,
     /// A session on its own time leaves no line out.
     waits_for_readers: bool,
@@ -88,6 +94,8 @@ impl Cold {
         let total = args.soak.unwrap_or(names.len() as u64);
         Ok(Self {
             format: args.format,
+            lines: if args.soak.is_some() { Lines::None } else { args.lines },
+            last: None,
             bar: progress_bar(total, args.format),
             recorder,
             studio,
@@ -103,7 +111,8 @@ impl Cold {
             endurance: args.soak.map(Endurance::new),
             slow: 0,
             pairs: 0,
-            status_at: Timestamp::default(),
+            standing: Standing::default(),
+            status: (String::new(), Timestamp::default()),
             failed: None,
             waits_for_readers: fast,
             desk,
@@ -184,14 +193,18 @@ impl Cold {
     }
 
     fn tell_status(&mut self) {
+        let telemetry = &self.desk.telemetry;
+        let words = self.standing.words(telemetry.state());
+        let (told, at) = &self.status;
         let now = Timestamp::now();
-        if now.since(self.status_at) >= STATUS_NS {
-            self.status_at = now;
-            notify::status(&summary::one_line(&self.desk.telemetry));
+        if now.since(*at) >= STATUS_NS || *told != words {
+            notify::status(&format!("{words} | {}", standing::counts(telemetry)));
+            self.status = (words, now);
         }
     }
 
     fn note(&mut self, note: &Note, at: Timestamp) {
+        self.standing.hear(note);
         if let (Some(recorder), Some((level, line))) = (&mut self.recorder, line_of(note)) {
             recorder.line(level, at, line);
         }
@@ -242,9 +255,11 @@ impl Cold {
                 self.found[part.part] += 1;
             }
         }
+        self.standing.hear(&Note::Pair(*report));
         if let Some(endurance) = &mut self.endurance {
             endurance.pair(self.pairs, resident_bytes);
-        } else {
+        }
+        if self.is_told(report, kept) {
             self.tell_pair(report, file.as_deref(), kept);
         }
         let name = self.name(report);
@@ -266,6 +281,17 @@ impl Cold {
         match self.names.get(sequence % self.names.len().max(1)) {
             Some(name) => name.clone(),
             None => format!("{:06}", report.pair.number),
+        }
+    }
+
+    /// Whether this pair gets a line.
+    fn is_told(&mut self, report: &PairReport, kept: bool) -> bool {
+        let now = report.outcome.as_ref().err().map(|why| (why.kind(), kept));
+        let last = std::mem::replace(&mut self.last, now);
+        match self.lines {
+            Lines::All => true,
+            Lines::Changes => now.is_none() || now != last,
+            Lines::None => false,
         }
     }
 

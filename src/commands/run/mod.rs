@@ -8,6 +8,7 @@ mod paint;
 pub(super) mod place;
 mod record;
 mod setup;
+mod standing;
 mod summary;
 
 use std::sync::{Arc, OnceLock};

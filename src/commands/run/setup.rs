@@ -36,7 +36,7 @@ const OVERLAY_FILES_MAX: usize = 64;
 const RECORDING_FILES: usize = 16;
 /// Events that may wait for being recorded.
 const LOGGED: usize = 1024;
-/// A camera that is not there at the start may still come for so long.
+/// A camera that is not there at the start, or not allowed yet, may still come for so long.
 const CAMERA_PATIENCE: Duration = Duration::from_secs(5);
 /// A camera that gives nothing for so long is silent, unless three of its periods are longer.
 const SILENCE: Duration = Duration::from_millis(800);
@@ -123,6 +123,7 @@ impl Setup {
                 tracing::info!("the arm answers as that of the recorded session did");
                 Arm::recorded(&cell.arm_side, answers, session_seed())
             }
+            None if args.wait => Arm::open_or_wait(&cell.arm_side, session_seed())?,
             None => Arm::open(&cell.arm_side, session_seed())?,
         };
         if args.soak.is_some() {
@@ -186,7 +187,7 @@ fn eyes(args: &RunArgs, cell: &Cell, fast: bool) -> Result<Eyes, RunError> {
     match (cell.cameras.backend, &cell.cameras.session) {
         (Backend::Replay, Some(folder)) => replayed(args, folder, fast),
         _ if args.soak.is_some() => Err(RunError::SoakNeedsReplay),
-        _ => live(cell),
+        _ => live(cell, args.wait),
     }
 }
 
@@ -253,8 +254,8 @@ fn waker() -> Result<Arc<Waker>, RunError> {
     Waker::new().map(Arc::new).map_err(RunError::System)
 }
 
-fn live(cell: &Cell) -> Result<Eyes, RunError> {
-    use crate::camera::v4l::{V4lCamera, list};
+fn live(cell: &Cell, wait: bool) -> Result<Eyes, RunError> {
+    use crate::camera::v4l::{CameraError, V4lCamera, list};
     let (Some(left), Some(right)) = (&cell.cameras.left, &cell.cameras.right) else {
         unreachable!("a cell with live cameras has both: config checks it")
     };
@@ -268,8 +269,11 @@ fn live(cell: &Cell) -> Result<Eyes, RunError> {
         }
     }
     let open = |side: &'static str, settings: &config::CameraSettings| {
-        V4lCamera::open_within(settings.clone(), CAMERA_PATIENCE)
-            .map_err(|reason| RunError::Camera { side, reason })
+        let patience = if wait && !settings.device.exists() { Duration::ZERO } else { CAMERA_PATIENCE };
+        match V4lCamera::open_within(settings.clone(), patience) {
+            Err(CameraError::Absent { .. }) if wait => Ok(V4lCamera::closed(settings.clone())),
+            opened => opened.map_err(|reason| RunError::Camera { side, reason }),
+        }
     };
     let opened = [open("left", left)?, open("right", right)?];
     let frame_bytes = opened.iter().map(V4lCamera::frame_bytes_max).max().unwrap_or(0);

@@ -1,4 +1,4 @@
-//! The table at the end, the line for the service manager, the verdict of a soak.
+//! The table at the end, the verdict of a soak.
 
 use std::fmt::Write;
 
@@ -108,18 +108,6 @@ pub(super) fn json(
     } })
 }
 
-/// One line for the service manager.
-pub(super) fn one_line(telemetry: &Telemetry) -> String {
-    let count = |cause| telemetry.count(cause);
-    format!(
-        "{} pairs, {} targets sent, {} done, {} deadline misses",
-        count(Cause::Pairs),
-        count(Cause::Sent),
-        count(Cause::Done),
-        count(Cause::DeadlineMissed)
-    )
-}
-
 /// Watches the memory over a soak.
 pub(super) struct Endurance {
     pairs: u64,
@@ -162,14 +150,14 @@ impl Endurance {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cell::core::{Counts, NoPick};
+    use crate::cell::core::{Counts, NoPick, State};
 
     fn telemetry(missed: u64) -> Telemetry {
         let telemetry = Telemetry::new();
         let mut counts = Counts::default();
         counts.add(Cause::Pairs, 20);
         counts.add(Cause::DeadlineMissed, missed);
-        telemetry.publish(&counts);
+        telemetry.publish(State::Looking, &counts);
         telemetry.record(Stage::Recognition, 1_000_000);
         telemetry.add_no_pick(&NoPick::OnHold);
         telemetry

@@ -1,0 +1,96 @@
+//! How the cell stands, in one line for the service manager: what keeps it from picking, if anything does, and the
+//! counts.
+
+use crate::cell::core::{Alarm, Cause, NoPick, Note, State};
+use crate::telemetry::Telemetry;
+
+/// What was said and still holds.
+#[derive(Default)]
+pub(super) struct Standing {
+    /// Why a camera gives nothing.
+    cameras: [Option<Alarm>; 2],
+    /// Why the arm does not move, in the words of the last alarm.
+    arm: Option<Alarm>,
+    /// Why the last pair led to no target.
+    no_pick: Option<NoPick>,
+}
+
+impl Standing {
+    /// Takes in what the core says.
+    pub(super) fn hear(&mut self, note: &Note) {
+        match *note {
+            Note::Pair(report) => self.no_pick = report.outcome.err(),
+            Note::Alarm(alarm @ (Alarm::CameraLost { side, .. } | Alarm::CameraSilent { side })) => {
+                self.cameras[side.index()] = Some(alarm);
+                self.no_pick = None;
+            }
+            Note::CameraBack { side } => self.cameras[side.index()] = None,
+            Note::Alarm(
+                alarm @ (Alarm::ArmLost { .. }
+                | Alarm::ArmSilent
+                | Alarm::OnHold { .. }
+                | Alarm::Controller { .. }
+                | Alarm::PositionUnknown),
+            ) => self.arm = Some(alarm),
+            Note::Connected { .. } | Note::Released | Note::Ready => self.arm = None,
+            Note::Sent { .. }
+            | Note::Accepted { .. }
+            | Note::Ended { .. }
+            | Note::Alarm(_)
+            | Note::SlotFilled { .. } => {}
+        }
+    }
+
+    /// All but the counts.
+    pub(super) fn words(&self, state: State) -> String {
+        let mut words: Vec<String> = self.cameras.iter().flatten().map(Alarm::to_string).collect();
+        let stands = matches!(state, State::Absent | State::Held | State::Alarmed);
+        match self.arm.filter(|_| stands) {
+            Some(alarm) => words.push(alarm.to_string()),
+            None => words.push(state.to_string()),
+        }
+        if let Some(why) = &self.no_pick {
+            words.push(format!("last pair: {why}"));
+        }
+        words.join(" | ")
+    }
+}
+
+/// The counts behind them.
+pub(super) fn counts(telemetry: &Telemetry) -> String {
+    let count = |cause| telemetry.count(cause);
+    format!(
+        "{} pairs, {} targets sent, {} done, {} deadline misses",
+        count(Cause::Pairs),
+        count(Cause::Sent),
+        count(Cause::Done),
+        count(Cause::DeadlineMissed)
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::{Side, Trouble};
+    use firmware_bridge::message::HeldBy;
+
+    #[test]
+    fn it_names_what_keeps_the_cell_from_picking_until_that_is_over() {
+        let mut standing = Standing::default();
+        assert_eq!(standing.words(State::Absent), "arm not connected");
+        standing.hear(&Note::Alarm(Alarm::ArmSilent));
+        assert!(standing.words(State::Absent).starts_with("the arm does not answer"));
+        standing.hear(&Note::Connected { session: 1 });
+        standing.hear(&Note::Alarm(Alarm::OnHold { by: HeldBy::Start }));
+        let lost = Alarm::CameraLost { side: Side::Right, trouble: Trouble::Unplugged };
+        standing.hear(&Note::Alarm(lost));
+        let words = standing.words(State::Held);
+        assert!(words.contains("right camera: unplugged") && words.contains("SIGUSR1"), "{words}");
+        standing.hear(&Note::CameraBack { side: Side::Right });
+        standing.hear(&Note::Released);
+        standing.hear(&Note::Ready);
+        assert_eq!(standing.words(State::Looking), "looking");
+        standing.hear(&Note::Alarm(Alarm::SlotLeftOut { slot: 3 }));
+        assert_eq!(standing.words(State::Held), "on hold", "another alarm is no reason for it");
+    }
+}
