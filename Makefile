@@ -15,7 +15,7 @@ CAMPAIGN_RUNS ?= 10000
 VM_ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help needs build run test bench accuracy soak campaign vm install uninstall fmt lint doc licences
+.PHONY: help needs build run test bench accuracy soak campaign vm deployed install uninstall fmt lint doc licences
 
 help: ## say what there is
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -49,6 +49,9 @@ campaign: needs ## seeded fault campaigns against every link of the arm: CAMPAIG
 
 vm: needs ## the cell in a virtual machine with V4L2 cameras (needs ../shared/v4l2-vm; VM_ARGS=--short)
 	tests/vm/run.sh $(VM_ARGS)
+
+deployed: needs ## make install, services, udev rule, a boot, make uninstall on a Debian in a virtual machine (needs ../shared)
+	tests/vm/deployed.sh
 
 install: ## install programs, services, rules and a first cell.toml (as root; PREFIX=, DESTDIR=; after make build)
 	deploy/install.sh
