@@ -18,6 +18,7 @@
 //! | [`vision::decode`] | an MJPEG frame | a raw frame | | recognise |
 //! | [`vision::luma`] | a raw frame | its luma, a byte a pixel: what is measured later is read there | | recognise |
 //! | [`vision::binarize`](mod@vision::binarize) | a raw frame | [`BitImage`](vision::bits::BitImage), object = 1 | IV-A, Algorithm 2 | recognise |
+//! | [`vision::halve`] | bit image and luma of thick wire | the same at half the size | | recognise |
 //! | [`vision::thin`](mod@vision::thin) | the bit image | its skeleton, one pixel wide | IV-B | recognise |
 //! | [`vision::graph`](mod@vision::graph) | skeleton, mask, grey values | [`Graph`](vision::graph::Graph): ends, junctions, pixel chains | IV-C | recognise |
 //! | [`matching`] | two graphs, the rig, a part's model | matches of nodes with their fitness | III, IV-D, equations (2) to (8) | recognise |

@@ -1,7 +1,8 @@
-//! One picture through the stages of vision: decoded, binarized, thinned, read as a graph.
+//! One picture through the stages of vision: decoded, binarized, halved where its wire is thick, thinned, read as a graph.
 
 use crate::frame::{Frame, LumaView, PixelFormat};
 use crate::matching::nodes::{ImageNode, ImageNodes};
+use crate::part::Part;
 use crate::recognize::{Params, Refusal, Side, StageTimes};
 use crate::rig::{CameraModel, UndistortTable};
 use crate::time::Timestamp;
@@ -9,24 +10,77 @@ use crate::vision::binarize::{self, Binarize, ColourRange};
 use crate::vision::bits::BitImage;
 use crate::vision::decode::{Decoder, Output};
 use crate::vision::graph::{self, Graph, Graphs};
+use crate::vision::halve::{halve_luma, halve_mask, thickness_px};
 use crate::vision::luma::LumaPlane;
 use crate::vision::thin::whole::WholeThin;
 
 /// How far off the rays of nodes may be, in pixels: a twentieth of what a good node is.
 const RAY_ERROR_PX: f64 = 0.005;
+/// Wire at least so thick is looked at in a picture of half the size, unless the thinnest wire would be too thin there.
+const THICK_PX_MIN: f64 = 12.0;
+const THIN_PX_MIN: f64 = 8.0;
+/// No picture is made smaller than this on its shorter side.
+const SIDE_PX_MIN: usize = 200;
 
 /// The stages of one camera and what they made of its last picture.
 pub struct Picture {
-    rays: UndistortTable,
     decoder: Decoder,
     luma: LumaPlane,
     binarize: Binarize,
+    /// The picture as it is, and halved once, twice and so on.
+    sizes: Vec<Traced>,
+    /// Which of them the last one was traced in.
+    halvings: usize,
+    /// Square root of the thickness of the thinnest over that of the thickest part.
+    evenness: f64,
+}
+
+/// A picture in one size, from its mask on.
+struct Traced {
+    rays: UndistortTable,
     thin: WholeThin,
     graphs: Graphs,
     image_nodes: ImageNodes,
+    /// Its luma; unused where it is not halved.
+    plane: Frame,
     mask: BitImage,
     skeleton: BitImage,
     graph: Graph,
+}
+
+impl Traced {
+    fn new(params: &Params, camera: CameraModel) -> Self {
+        let (width, height) = (camera.width, camera.height);
+        let graph_limits = params.graph.unwrap_or(graph::Params::for_size(width, height));
+        let mut graph = Graph::default();
+        graph.reserve(&graph_limits);
+        Self {
+            thin: WholeThin::new(params.thin, width, height),
+            graphs: Graphs::new(graph_limits, width, height),
+            image_nodes: ImageNodes::new(params.nodes),
+            plane: Frame {
+                format: PixelFormat::Grey,
+                width,
+                height,
+                stride_bytes: width,
+                ..Frame::default()
+            },
+            mask: BitImage::new(width, height),
+            skeleton: BitImage::new(width, height),
+            graph,
+            rays: UndistortTable::new(&camera, RAY_ERROR_PX),
+        }
+    }
+
+    /// From mask and luma to nodes; gives when the skeleton was there.
+    fn run(&mut self, luma: Option<&Frame>) -> Result<Timestamp, graph::Refusal> {
+        let Self { mask, skeleton, graph, .. } = self;
+        self.thin.run(mask, skeleton);
+        let thinned = Timestamp::now();
+        self.graphs.run(skeleton, mask, luma.or(Some(&self.plane)), graph)?;
+        self.image_nodes.run(graph, mask, &self.rays);
+        Ok(thinned)
+    }
 }
 
 impl Picture {
@@ -34,91 +88,151 @@ impl Picture {
         range: binarize::Params,
         params: &Params,
         camera: CameraModel,
+        parts: &[Part],
     ) -> Result<Self, binarize::ParamsError> {
         let (width, height) = (camera.width, camera.height);
         let binarize = Binarize::new(range, width, height)?;
-        let graph_limits = params.graph.unwrap_or(graph::Params::for_size(width, height));
-        let mut graph = Graph::default();
-        graph.reserve(&graph_limits);
         let output = if binarize.needs_luma_only() { Output::Grey } else { Output::Rgb };
+        let mut sizes = vec![Traced::new(params, camera)];
+        for camera in halvings(camera).skip(1) {
+            let mut half = Traced::new(params, camera);
+            half.plane.bytes.resize(camera.width * camera.height, 0);
+            sizes.push(half);
+        }
+        let thickness = || parts.iter().map(|part| part.thickness_mm);
+        let (thinnest, thickest) =
+            (thickness().fold(f64::INFINITY, f64::min), thickness().fold(0.0, f64::max));
         Ok(Self {
             decoder: Decoder::new(output, width, height),
             luma: LumaPlane::new(width, height),
             binarize,
-            thin: WholeThin::new(params.thin, width, height),
-            graphs: Graphs::new(graph_limits, width, height),
-            image_nodes: ImageNodes::new(params.nodes),
-            mask: BitImage::new(width, height),
-            skeleton: BitImage::new(width, height),
-            graph,
-            rays: UndistortTable::new(&camera, RAY_ERROR_PX),
+            sizes,
+            halvings: 0,
+            evenness: if parts.is_empty() { 1.0 } else { (thinnest / thickest).sqrt() },
         })
     }
 
+    /// Takes a frame through all stages, in the size that its wire wants.
     pub(crate) fn run(&mut self, frame: &Frame, side: Side, stages: &mut StageTimes) -> Result<(), Refusal> {
-        let camera = self.rays.camera();
-        if (frame.width, frame.height) != (camera.width, camera.height) {
-            let (width, height) = (frame.width, frame.height);
-            let (rig_width, rig_height) = (camera.width, camera.height);
+        let Self { decoder, luma, binarize, sizes, halvings, evenness } = self;
+        let (width, height) = (frame.width, frame.height);
+        let [rig_width, rig_height] = [sizes[0].mask.width(), sizes[0].mask.height()];
+        if (width, height) != (rig_width, rig_height) {
             return Err(Refusal::Size { side, width, height, rig_width, rig_height });
         }
         let begin = Timestamp::now();
-        let raw = self.decoder.run(frame).map_err(|_| Refusal::Damaged { side })?;
+        let raw = decoder.run(frame).map_err(|_| Refusal::Damaged { side })?;
         let decoded = Timestamp::now();
         let refused = |reason| Refusal::Binarize { side, reason };
-        self.binarize.check(raw).map_err(refused)?;
+        binarize.check(raw).map_err(refused)?;
         let luma = match raw.format {
             PixelFormat::Grey => raw,
-            _ => self.luma.run(raw, self.binarize.encoding(raw)),
+            _ => luma.run(raw, binarize.encoding(raw)),
         };
-        let seen = if self.binarize.needs_luma_only() { luma } else { raw };
-        self.binarize.run(seen, &mut self.mask).map_err(refused)?;
-        let range = self.binarize.params();
+        let seen = if binarize.needs_luma_only() { luma } else { raw };
+        binarize.run(seen, &mut sizes[0].mask).map_err(refused)?;
+        let range = binarize.params();
         let is_light_on_dark = !range.inverted && range.colour == ColourRange::Auto;
-        if is_light_on_dark && self.mask.words().iter().all(|&word| word == 0) && is_white(luma) {
+        if is_light_on_dark && sizes[0].mask.words().iter().all(|&word| word == 0) && is_white(luma) {
             return Err(Refusal::White { side });
         }
+        *halvings = 0;
+        while let [whole, half, ..] = &mut sizes[*halvings..]
+            && is_thick(&whole.mask, *evenness)
+        {
+            halve_mask(&whole.mask, &mut half.mask);
+            halve_luma(if *halvings == 0 { luma } else { &whole.plane }, &mut half.plane);
+            *halvings += 1;
+        }
         let binary = Timestamp::now();
-        self.thin.run(&self.mask, &mut self.skeleton);
-        let thinned = Timestamp::now();
-        self.graphs
-            .run(&self.skeleton, &self.mask, Some(luma), &mut self.graph)
-            .map_err(|reason| Refusal::Graph { side, reason })?;
-        self.image_nodes.run(&self.graph, &self.mask, &self.rays);
-        let done = Timestamp::now();
+        let traced = &mut sizes[*halvings];
+        let thinned =
+            traced.run((*halvings == 0).then_some(luma)).map_err(|reason| Refusal::Graph { side, reason })?;
         let ns = |from: Timestamp, to: Timestamp| to.since(from).max(0) as u64;
         stages.decode_ns += ns(begin, decoded);
         stages.binarize_ns += ns(decoded, binary);
         stages.thin_ns += ns(binary, thinned);
-        stages.graph_ns += ns(thinned, done);
+        stages.graph_ns += ns(thinned, Timestamp::now());
         Ok(())
+    }
+
+    /// Has both pictures of a pair, which have just been run, in one size: the larger of theirs.
+    ///
+    /// # Errors
+    /// Where there is too much for a graph in that size.
+    pub(crate) fn agree(pictures: &mut [Picture; 2], frames: [&Frame; 2]) -> Result<(), Refusal> {
+        let halvings = pictures[0].halvings.min(pictures[1].halvings);
+        for ((picture, frame), side) in pictures.iter_mut().zip(frames).zip([Side::Left, Side::Right]) {
+            if picture.halvings > halvings {
+                picture.halvings = halvings;
+                let Self { decoder, luma, sizes, .. } = picture;
+                let luma = (halvings == 0).then(|| luma_of(decoder, luma, frame));
+                sizes[halvings].run(luma).map_err(|reason| Refusal::Graph { side, reason })?;
+            }
+        }
+        Ok(())
+    }
+
+    /// How often the picture was halved before it was thinned: what follows is in pixels of that size.
+    pub fn halvings(&self) -> usize {
+        self.halvings
+    }
+
+    /// The binary picture in its full size, without specks.
+    pub fn whole_mask(&self) -> &BitImage {
+        &self.sizes[0].mask
+    }
+
+    fn traced(&self) -> &Traced {
+        &self.sizes[self.halvings]
     }
 
     /// The binary picture, without specks.
     pub fn mask(&self) -> &BitImage {
-        &self.mask
+        &self.traced().mask
     }
 
     /// The skeleton of the mask, before spurs are cut.
     pub fn skeleton(&self) -> &BitImage {
-        &self.skeleton
+        &self.traced().skeleton
     }
 
     /// Nodes and edges.
     pub fn graph(&self) -> &Graph {
-        &self.graph
+        &self.traced().graph
     }
 
     /// Nodes with the bends of edges among them.
     pub fn nodes(&self) -> &[ImageNode] {
-        self.image_nodes.nodes()
+        self.traced().image_nodes.nodes()
     }
 
     /// The luma of `frame`, which must be the one of the last run.
     pub(crate) fn luma<'a>(&'a self, frame: &'a Frame) -> &'a Frame {
-        let raw = if frame.format == PixelFormat::Mjpeg { self.decoder.raw() } else { frame };
-        if raw.format == PixelFormat::Grey { raw } else { self.luma.plane() }
+        match self.halvings {
+            0 => luma_of(&self.decoder, &self.luma, frame),
+            _ => &self.traced().plane,
+        }
     }
+}
+
+/// The luma of `frame`, which was taken through these stages.
+fn luma_of<'a>(decoder: &'a Decoder, luma: &'a LumaPlane, frame: &'a Frame) -> &'a Frame {
+    let raw = if frame.format == PixelFormat::Mjpeg { decoder.raw() } else { frame };
+    if raw.format == PixelFormat::Grey { raw } else { luma.plane() }
+}
+
+/// The camera of the picture as it is, and halved once, twice and so on, as long as that may be of use.
+pub(crate) fn halvings(camera: CameraModel) -> impl Iterator<Item = CameraModel> {
+    std::iter::successors(Some(camera), |camera| {
+        (camera.width.min(camera.height) / 2 >= SIDE_PX_MIN).then(|| camera.halved())
+    })
+}
+
+/// Whether wire is better looked at in half the size: where it is thick, skeletons stray far where wires meet.
+fn is_thick(mask: &BitImage, evenness: f64) -> bool {
+    let thickness_px = thickness_px(mask);
+    thickness_px >= THICK_PX_MIN * evenness && thickness_px * evenness >= THIN_PX_MIN
 }
 
 /// Luma from which a camera is taken to be saturated.

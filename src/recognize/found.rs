@@ -16,6 +16,7 @@ use crate::picture::Picture;
 use crate::pose::refine::View;
 use crate::pose::shading::Shading;
 use crate::rig::Rig;
+use crate::vision::halve::in_whole;
 
 /// The part that an explanation is.
 #[expect(clippy::too_many_arguments)]
@@ -50,6 +51,7 @@ pub(super) fn found(
             (false, true) => Seen::Right,
             (false, false) => Seen::None,
         };
+        let [left_px, right_px] = [left_px, right_px].map(|px| in_whole(px, pictures[0].halvings()));
         FoundNode { left_mm, left_px, right_px, seen }
     });
     let nodes: ArrayVec<FoundNode, NODES_MAX> = nodes.collect();

@@ -46,7 +46,7 @@ use crate::matching::hypotheses::{self, Hypothesis, SingleNode};
 use crate::matching::lines::{self, Lines};
 use crate::matching::search::Search;
 use crate::part::Part;
-use crate::picture::Picture;
+use crate::picture::{Picture, halvings};
 use crate::rig::Rig;
 use crate::time::{Budget, Timestamp, Watch};
 use crate::vision::binarize;
@@ -76,18 +76,34 @@ const HYPOTHESES_MAX: usize = 16384;
 /// The whole recognition with all its memory.
 pub struct Recognizer {
     params: Params,
-    rig: Rig,
+    /// Of the pictures as they are, and halved once, twice and so on.
+    scales: Vec<Scale>,
     parts: Vec<Prepared>,
     pictures: [Picture; 2],
     search: Search,
     pool: Vec<Hypothesis>,
-    ridges: [Ridges; 2],
-    /// What no part explains for certain.
-    areas: [ridge::Area; 2],
     lines: Lines,
     explanations: Explanations,
     unknown: Unknown,
     second: Option<hands::Owner>,
+}
+
+/// What goes with one size of the pictures.
+struct Scale {
+    rig: Rig,
+    ridges: [Ridges; 2],
+    /// What no part explains for certain.
+    areas: [ridge::Area; 2],
+}
+
+impl Scale {
+    fn new(rig: Rig, params: ridge::Params) -> Self {
+        Self {
+            areas: [&rig.left, &rig.right].map(|c| ridge::Area::new(c.width, c.height)),
+            ridges: [&rig.left, &rig.right].map(|c| Ridges::new(params, c.width, c.height)),
+            rig,
+        }
+    }
 }
 
 impl Recognizer {
@@ -97,14 +113,15 @@ impl Recognizer {
     /// Where the colour range or the region cannot be used.
     pub fn new(params: Params, rig: Rig, parts: Vec<Part>) -> Result<Self, binarize::ParamsError> {
         let [left, right] = params.binarize.clone();
-        let picture = |b, camera: &crate::rig::CameraModel| Picture::new(b, &params, *camera);
-        let pictures = [picture(left, &rig.left)?, picture(right, &rig.right)?];
+        let picture = |range, camera| Picture::new(range, &params, camera, &parts);
+        let pictures = [picture(left, rig.left)?, picture(right, rig.right)?];
+        let cameras = halvings(rig.left).zip(halvings(rig.right));
+        let scales = cameras.map(|(left, right)| Scale::new(Rig { left, right, ..rig }, params.ridges));
+        let scales = scales.collect();
         let parts: Vec<Prepared> = parts.into_iter().map(Prepared::new).collect();
         Ok(Self {
             search: Search::new(params.search, params.gate, parts.len()),
             pool: Vec::with_capacity(HYPOTHESES_MAX),
-            areas: [&rig.left, &rig.right].map(|c| ridge::Area::new(c.width, c.height)),
-            ridges: [&rig.left, &rig.right].map(|c| Ridges::new(params.ridges, c.width, c.height)),
             lines: Lines::new(
                 lines::Params { depth_mm: params.gate.depth_mm, ..params.lines },
                 params.ridges.stretches_max,
@@ -113,7 +130,7 @@ impl Recognizer {
             unknown: Unknown::new(&pictures),
             pictures,
             params,
-            rig,
+            scales,
             parts,
             second: None,
         })
@@ -127,7 +144,7 @@ impl Recognizer {
 
     /// The rig.
     pub fn rig(&self) -> &Rig {
-        &self.rig
+        &self.scales[0].rig
     }
 
     /// The parts, in the order of [`FoundPart::part`].
@@ -198,21 +215,26 @@ impl Recognizer {
         let mut of_right = StageTimes::default();
         let mut look_right = || right.run(&pair.right, Side::Right, &mut of_right);
         let mut look_left = || left.run(&pair.left, Side::Left, stages);
-        let Some(second) = &mut self.second else {
-            look_left()?;
-            look_right()?;
-            stages.with(&of_right, |left, right| left + right);
-            return Ok(());
-        };
-        let (left, right) = second.both(look_left, look_right);
-        stages.with(&of_right, u64::max);
-        left.and(right)
+        match &mut self.second {
+            Some(second) => {
+                let (left, right) = second.both(look_left, look_right);
+                stages.with(&of_right, u64::max);
+                left.and(right)?;
+            }
+            None => {
+                look_left()?;
+                look_right()?;
+                stages.with(&of_right, |left, right| left + right);
+            }
+        }
+        Picture::agree(&mut self.pictures, [&pair.left, &pair.right])
     }
 
     /// Fills the pool with rough poses of all parts, fittest first: those of matches, and those that single nodes hold
     /// with the wire that leaves them. A single node costs an iteration of the budget.
     fn search(&mut self, budget: Budget, seed: u64, out: &mut Recognition) {
-        let Self { pictures, rig, parts, search, pool, params, .. } = self;
+        let Self { pictures, scales, parts, search, pool, params, .. } = self;
+        let rig = rig_of(scales, pictures);
         let [left, right] = [pictures[0].nodes(), pictures[1].nodes()];
         pool.clear();
         let thickness = parts.iter().map(|p| p.part.thickness_mm);
@@ -256,7 +278,8 @@ impl Recognizer {
     /// Fills the pool with rough poses of bent parts that ends hold which no explanation has; says whether there are any. As
     /// what is looked at, they cost time, but no iterations.
     fn search_ends(&mut self, looking: &mut Watch) -> bool {
-        let Self { pictures, rig, parts, search, pool, params, explanations, .. } = self;
+        let Self { pictures, scales, parts, search, pool, params, explanations, .. } = self;
+        let rig = rig_of(scales, pictures);
         let [left, right] = [pictures[0].nodes(), pictures[1].nodes()];
         let down = grasp::down_in_left(&params.grasp);
         pool.clear();
@@ -288,8 +311,8 @@ impl Recognizer {
             }
         }
         self.explanations.settle_claimed(&self.parts);
-        let Self { pictures, rig, parts, pool, params, ridges, areas, lines, explanations, second, .. } =
-            self;
+        let Self { pictures, scales, parts, pool, params, lines, explanations, second, .. } = self;
+        let Scale { rig, ridges, areas } = &mut scales[pictures[0].halvings()];
         pool.clear();
         let claims = explanations.claims();
         let (Some(left), Some(right)) =
@@ -324,7 +347,8 @@ impl Recognizer {
     /// Finds the areas of wire, half of it as wide as given, that nobody has claimed; says whether there is enough of it for
     /// a part.
     fn find_unexplained(&mut self, half_px: &[f64; 2]) -> bool {
-        let Self { pictures, parts, params, areas, explanations, .. } = self;
+        let Self { pictures, scales, parts, params, explanations, .. } = self;
+        let areas = &mut scales[pictures[0].halvings()].areas;
         let share = UNEXPLAINED_SHARE * params.select.seen_min;
         let least_radii = parts.iter().map(|p| p.least_seen_radii(share)).fold(f64::INFINITY, f64::min);
         [0, 1].into_iter().all(|side: usize| {
@@ -335,7 +359,10 @@ impl Recognizer {
 
     /// Holds the pool's hypotheses against both pictures, for the first time or `again`; says whether all of them.
     fn explain(&mut self, pair: &FramePair, again: bool, looking: &mut Watch) -> bool {
-        let Some(views) = views(&self.pictures, &self.rig, pair, &self.params) else { return true };
+        let Some(views) = views(&self.pictures, rig_of(&self.scales, &self.pictures), pair, &self.params)
+        else {
+            return true;
+        };
         let scene = Scene {
             parts: &self.parts,
             views,
@@ -349,7 +376,8 @@ impl Recognizer {
 
     /// Lets the explanations compete; those that stand are the parts. Says whether there was time for it.
     fn compete(&mut self, pair: &FramePair, exchanging: &mut Watch, out: &mut Recognition) -> bool {
-        let Self { explanations, parts, rig, pictures, params, .. } = self;
+        let Self { explanations, parts, scales, pictures, params, .. } = self;
+        let rig = rig_of(scales, pictures);
         let Some(views) = views(pictures, rig, pair, params) else { return true };
         let shading = explanations.shading();
         let in_time = explanations.decide(parts, &params.select, &views, exchanging, PARTS_MAX);
@@ -364,7 +392,8 @@ impl Recognizer {
 
     /// Finds what is blocked and ranks; was there no time for all, what does not stand alone is blocked.
     fn grasp(&mut self, in_time: bool, out: &mut Recognition) {
-        let Self { parts, params, rig, pictures, explanations, unknown, .. } = self;
+        let Self { parts, params, scales, pictures, explanations, unknown, .. } = self;
+        let rig = rig_of(scales, pictures);
         let placed: ArrayVec<Placed, PARTS_MAX> =
             out.parts.iter().map(|f| parts[f.part].placed(&f.left_from_part, f.sigma_mm.max())).collect();
         let blocked: ArrayVec<Option<Blocked>, PARTS_MAX> = (0..placed.len())
@@ -418,6 +447,11 @@ impl Recognizer {
     }
 }
 
+/// That of the size in which the pictures were looked at.
+fn rig_of<'a>(scales: &'a [Scale], pictures: &[Picture; 2]) -> &'a Rig {
+    &scales[pictures[0].halvings()].rig
+}
+
 /// Does both halves of a job, the second one in another thread where there is one.
 fn both(second: &mut Option<hands::Owner>, left: impl FnOnce(), right: impl FnOnce() + Send) {
     match second {
@@ -430,3 +464,6 @@ fn both(second: &mut Option<hands::Owner>, left: impl FnOnce(), right: impl FnOn
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

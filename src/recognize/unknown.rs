@@ -148,7 +148,8 @@ mod tests {
         let mut recognizer = Recognizer::new(Params::default(), rig, vec![rod]).unwrap();
         let mut out = Recognition::default();
         recognizer.run(&frames, Budget::Iterations(100_000), 1, &mut out).unwrap();
-        let Recognizer { params, rig, parts, pictures, explanations, unknown, .. } = &mut recognizer;
+        let Recognizer { params, scales, parts, pictures, explanations, unknown, .. } = &mut recognizer;
+        let rig = &scales[0].rig;
         let nothing = [&rig.left, &rig.right].map(|c| ClaimMap::new(c.width, c.height));
         [explanations.claims(), &nothing].map(|claims| {
             unknown.find(pictures, claims);

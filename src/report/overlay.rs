@@ -15,6 +15,7 @@ use crate::part::Part;
 use crate::recognize::FoundPart;
 use crate::rig::Rig;
 use crate::vision::graph::{Graph, NodeKind};
+use crate::vision::halve::in_whole;
 
 const SKELETON: Colour = [70, 160, 90];
 const END: Colour = [255, 220, 0];
@@ -39,8 +40,8 @@ const GAP_PX: usize = 4;
 pub struct Overlay<'a> {
     /// Uncompressed pictures, left and right.
     pub frames: [&'a Frame; 2],
-    /// Their graphs.
-    pub graphs: [&'a Graph; 2],
+    /// Their graphs, and how often the pictures were halved for them.
+    pub graphs: [(&'a Graph, usize); 2],
     /// The cameras.
     pub rig: &'a Rig,
     /// The models that [`FoundPart::part`] counts.
@@ -80,12 +81,16 @@ impl Overlay<'_> {
 }
 
 /// Skeleton and nodes, thin.
-fn graph(canvas: &mut Canvas, graph: &Graph, offset: Vector2<f64>) {
+fn graph(canvas: &mut Canvas, (graph, halvings): (&Graph, usize), offset: Vector2<f64>) {
+    let pixel = 1i64 << halvings;
     for &[x, y] in &graph.points {
-        canvas.blend(i64::from(x) + offset.x as i64, i64::from(y), SKELETON, 0.8);
+        let [x, y] = [i64::from(x) * pixel + offset.x as i64, i64::from(y) * pixel];
+        for (i, j) in (0..pixel).flat_map(|i| (0..pixel).map(move |j| (i, j))) {
+            canvas.blend(x + i, y + j, SKELETON, 0.8);
+        }
     }
     for node in &graph.nodes {
-        let at = Vector2::new(f64::from(node.position_px[0]), f64::from(node.position_px[1])) + offset;
+        let at = in_whole(Vector2::from(node.position_px.map(f64::from)), halvings) + offset;
         match node.kind {
             NodeKind::End => canvas.ring(at, 2.5, END),
             NodeKind::Junction => canvas.disc(at, 1.5, JUNCTION),

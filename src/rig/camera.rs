@@ -8,6 +8,7 @@
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Point3, Vector2, Vector3};
 
 use super::RigError;
+use crate::vision::halve::in_half;
 
 /// Pinhole and distortion of one camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,6 +38,20 @@ impl CameraModel {
     /// A camera without distortion.
     pub fn pinhole(width: usize, height: usize, focal_px: f64, cx: f64, cy: f64) -> Self {
         Self { width, height, fx: focal_px, fy: focal_px, cx, cy, distortion: [0.0; 14] }
+    }
+
+    /// The camera of the same picture at half its size; see [`crate::vision::halve`].
+    pub fn halved(&self) -> Self {
+        let Self { width, height, fx, fy, cx, cy, distortion } = *self;
+        Self {
+            width: width / 2,
+            height: height / 2,
+            fx: fx / 2.0,
+            fy: fy / 2.0,
+            cx: in_half(cx),
+            cy: in_half(cy),
+            distortion,
+        }
     }
 
     /// Where a point of the camera's frame (OpenCV axes, any one unit of length) is seen: distorted pixels. `None`

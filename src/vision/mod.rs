@@ -5,6 +5,7 @@ pub mod binarize;
 pub mod bits;
 pub mod decode;
 pub mod graph;
+pub mod halve;
 mod lanes;
 pub mod luma;
 pub mod ridge;

@@ -108,7 +108,7 @@ impl Job<'_> {
         let Some(folder) = &self.args.stages else { return Ok(()) };
         let folder = if self.setup.many { folder.join(&pair.name) } else { folder.clone() };
         for (side, picture) in ["left", "right"].into_iter().zip(self.recognizer.pictures()) {
-            write_png(&folder, &format!("{side}-binary.png"), &stages::bits(picture.mask()))?;
+            write_png(&folder, &format!("{side}-binary.png"), &stages::bits(picture.whole_mask()))?;
             write_png(&folder, &format!("{side}-skeleton.png"), &stages::bits(picture.skeleton()))?;
             write_png(
                 &folder,
@@ -124,7 +124,7 @@ impl Job<'_> {
         let caption = self.found.no_pick.map(|reason| format!("no pick: {reason}")).unwrap_or_default();
         let overlay = Overlay {
             frames: [&raw[0], &raw[1]],
-            graphs: [left.graph(), right.graph()],
+            graphs: [left, right].map(|picture| (picture.graph(), picture.halvings())),
             rig: &self.setup.rig,
             parts: &self.setup.parts,
             found: &self.found.parts,

@@ -107,7 +107,10 @@ impl Painter {
         let decoder = || Decoder::new(Output::Rgb, rig.left.width, rig.left.height);
         Ok(Self {
             folder,
-            pictures: [Picture::new(left, &params, rig.left)?, Picture::new(right, &params, rig.right)?],
+            pictures: [
+                Picture::new(left, &params, rig.left, &parts)?,
+                Picture::new(right, &params, rig.right, &parts)?,
+            ],
             decoders: [decoder(), decoder()],
             base_from_left: params.grasp.base_from_left.unwrap_or_default(),
             parts,
@@ -126,9 +129,10 @@ impl Painter {
             // Refused before by the recogniser; what was made up to there is drawn.
             let _ = self.pictures[picture].run(frame, side, &mut stages);
         }
+        let _ = Picture::agree(&mut self.pictures, [&file.pair.left, &file.pair.right]);
         let overlay = Overlay {
             frames: [left, right],
-            graphs: [self.pictures[0].graph(), self.pictures[1].graph()],
+            graphs: self.pictures.each_ref().map(|picture| (picture.graph(), picture.halvings())),
             rig: &self.rig,
             parts: &self.parts,
             found: &file.recognition.parts,

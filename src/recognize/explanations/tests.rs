@@ -149,7 +149,7 @@ fn a_rod_with_both_ends_on_others_lies_in_the_middle_of_where_it_can() {
     );
     let mut recognizer = Recognizer::new(Params::default(), rig, vec![rod("rod-75", 75.0)]).unwrap();
     recognizer.run(&pair, Budget::Iterations(100_000), 1, &mut Recognition::default()).unwrap();
-    let Recognizer { pictures, rig, params, parts, explanations, .. } = recognizer;
+    let Recognizer { pictures, params, parts, explanations, .. } = recognizer;
     let views = views(&pictures, &rig, &pair, &params).unwrap();
     let turn = nalgebra::UnitQuaternion::rotation_between(&Vector3::x(), &along).unwrap();
     for displaced_mm in [-5.0, 0.0, 5.0] {
