@@ -9,7 +9,10 @@
 //! background, and uneven. There the background is taken from around.
 //!
 //! From the histogram of the contrasts inside the region come the spread of the background (median and 16th
-//! percentile) and the contrast of the parts (its upper end). Without clearly brighter samples nothing is object.
+//! percentile) and the contrast of the parts (its upper end). Clear is twice as bright; less may be a bin's rim beside its
+//! dark wall. Where nothing is clear the background is closed (for dark parts opened), which takes the shadow of such a wall
+//! out of it, and so the contrast from the rim: then less will do, of bright parts on a light floor or dark ones on a grey
+//! one. Without brighter samples nothing is object.
 //! Else the threshold lies a third of the way from background to parts, and a quarter of the way near samples that
 //! are beyond half way: so dim ends of a part are kept while the bin's rim, dim all along, is not. Between the
 //! samples thresholds are interpolated.
@@ -28,6 +31,9 @@ const OFFSET: u16 = 16;
 const CONTRAST_STEPS: f32 = 32.0;
 /// Least contrast of parts. A bin's rim beside its dark wall reaches 1.9.
 const CONTRAST_MIN: f32 = 2.0;
+/// Least contrast of parts against a background without the shadows of walls, and least difference in grey levels.
+const FAINT_MIN: f32 = 1.3;
+const FAINT_LEVELS_MIN: f32 = 30.0;
 /// Contrast from which on a background against the median one may be dense parts, and contrast that their samples then
 /// have among each other at least; a brighter table or glare is more even. Where it is floor beside a single part after all,
 /// the floor around is as bright, and nothing is lost.
@@ -214,11 +220,31 @@ fn thresholds_for<const DARK: bool>(grid: &mut Grid) -> bool {
     grid::slide_back::<DARK>(&mut grid.background, pitch);
     see_through::<DARK>(grid);
     contrasts::<DARK>(grid);
-    let Some(found) = grid.contrasts() else { return false };
+    let found = match grid.contrasts(CONTRAST_MIN) {
+        Some(found) => found,
+        None => {
+            // Parts that stand out less than a rim beside its wall's shadow may: without the shadow the rim does not.
+            fill_narrow::<DARK>(grid);
+            let least = FAINT_MIN.max(grid.contrast_of_levels::<DARK>(FAINT_LEVELS_MIN));
+            contrasts::<DARK>(grid);
+            let Some(found) = grid.contrasts(least) else { return false };
+            found
+        }
+    };
     mark_strong::<DARK>(grid, found.strong);
     grid::slide_back::<false>(&mut grid.strong, pitch);
     write_thresholds::<DARK>(grid, found);
     true
+}
+
+/// Fills what of the background is narrow and darker (for dark parts lighter) than what is to both sides of it.
+#[inline(always)]
+fn fill_narrow<const DARK: bool>(grid: &mut Grid) {
+    let (rows, columns, pitch) = (grid.rows, grid.columns, grid.pitch);
+    grid.strong.copy_from_slice(&grid.background);
+    grid::pad(&grid.strong, &mut grid.background, rows, columns, pitch);
+    grid::slide_back::<DARK>(&mut grid.background, pitch);
+    grid::slide::<DARK>(&mut grid.background, pitch);
 }
 
 /// Takes the background of samples that lie among dense parts from those around.
@@ -236,15 +262,7 @@ fn mark_unknown<const DARK: bool>(grid: &mut Grid) -> bool {
     if grid.inside == 0 {
         return false;
     }
-    for y in 0..rows {
-        let row = y * columns..(y + 1) * columns;
-        let samples = grid.background[y * pitch..][..columns].iter().zip(&grid.region[row.clone()]);
-        for (out, (&background, &inside)) in grid.contrast[row].iter_mut().zip(samples) {
-            *out = background & inside;
-        }
-    }
-    let outside = grid.contrast.len() - grid.inside;
-    let median = grid::ranked(&grid.contrast, outside + grid.inside / 2);
+    let median = grid.usual_background();
     let beyond = |level: u8, limit: u8| if DARK { level < limit } else { level > limit };
     let like_parts = level_at::<DARK>(median, factor::<DARK>(DENSE_MIN));
     // All are looked at, many at once, which is faster than to stop at the first.
@@ -330,9 +348,30 @@ fn rounded(x: f32) -> u8 {
 }
 
 impl Grid {
-    /// Thresholds from the histogram of the contrasts; `None` where no parts stand out.
+    /// The median of the background inside the region; `contrast` becomes the background there.
     #[inline(always)]
-    fn contrasts(&self) -> Option<Contrasts> {
+    fn usual_background(&mut self) -> u8 {
+        for y in 0..self.rows {
+            let row = y * self.columns..(y + 1) * self.columns;
+            let samples =
+                self.background[y * self.pitch..][..self.columns].iter().zip(&self.region[row.clone()]);
+            for (out, (&background, &inside)) in self.contrast[row].iter_mut().zip(samples) {
+                *out = background & inside;
+            }
+        }
+        grid::ranked(&self.contrast, self.contrast.len() - self.inside + self.inside / 2)
+    }
+
+    /// The contrast that a difference of so many grey levels has on most of the background.
+    #[inline(always)]
+    fn contrast_of_levels<const DARK: bool>(&mut self, levels: f32) -> f32 {
+        let usual = f32::from(self.usual_background()) + f32::from(OFFSET);
+        if DARK { usual / (usual - levels).max(1.0) } else { (usual + levels) / usual }
+    }
+
+    /// Thresholds from the histogram of the contrasts; `None` where no parts stand out by `contrast_min`.
+    #[inline(always)]
+    fn contrasts(&self, contrast_min: f32) -> Option<Contrasts> {
         let contrast = &self.contrast[..];
         // All that is not a sample inside the region is 0, below every contrast.
         let outside = contrast.len() - self.inside;
@@ -344,7 +383,7 @@ impl Grid {
         let sigma = (median - at(self.inside * 16 / 100)).max(SIGMA_MIN);
         let parts = at(self.inside - 1 - self.inside / SAMPLES_PER_PART);
         let least = median + SIGMAS * sigma;
-        let standing_out = CONTRAST_MIN.max(least);
+        let standing_out = contrast_min.max(least);
         if parts < standing_out {
             return None;
         }

@@ -352,3 +352,35 @@ fn floor_that_a_heap_hides_is_known_from_around() {
         }
     }
 }
+
+/// An even floor with or without bars and, beside a darker wall, a lighter rim.
+fn walled([floor, bar, wall, rim]: [u8; 4], bars: bool) -> Frame {
+    let grey = |x: usize, y: usize| match x {
+        8..12 => rim,
+        12..20 => wall,
+        _ if bars && is_bar(x, y) => bar,
+        _ => floor,
+    };
+    let pixels = (0..240).flat_map(|y| (0..320).flat_map(move |x| [grey(x, y); 3]));
+    Frame::from_rgb(320, 240, pixels.collect())
+}
+
+#[test]
+fn parts_on_a_floor_of_any_grey_are_found_and_a_rim_beside_its_dark_wall_is_none() {
+    for greys in [[45, 180, 25, 58], [100, 150, 60, 120], [130, 190, 80, 155]] {
+        for level in Level::available() {
+            let found = |bars| run(&Params::default(), *level, &walled(greys, bars));
+            assert_eq!(wrong(&found(true)), (0, 0), "{greys:?} {level:?}");
+            assert_eq!(found(false).count(), 0, "{greys:?} {level:?}");
+        }
+    }
+    // Dark parts, and a dark rim beside a wall in full light.
+    for greys in [[200, 60, 230, 175], [150, 95, 190, 130]] {
+        for level in Level::available() {
+            let params = Params { inverted: true, ..Params::default() };
+            let found = |bars| run(&params, *level, &walled(greys, bars));
+            assert_eq!(wrong(&found(true)), (0, 0), "{greys:?} {level:?}");
+            assert_eq!(found(false).count(), 0, "{greys:?} {level:?}");
+        }
+    }
+}
