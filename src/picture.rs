@@ -16,9 +16,14 @@ use crate::vision::thin::whole::WholeThin;
 
 /// How far off the rays of nodes may be, in pixels: a twentieth of what a good node is.
 const RAY_ERROR_PX: f64 = 0.005;
-/// Wire at least so thick is looked at in a picture of half the size, unless the thinnest wire would be too thin there.
+/// Wire at least so thick is looked at in a picture of half the size, unless the thinnest part may be thinner than the
+/// second of these.
 const THICK_PX_MIN: f64 = 12.0;
 const THIN_PX_MIN: f64 = 8.0;
+/// Where wire turns out to be thinner than this in a half, what was thick was something else: the whole is looked at.
+const HALVED_PX_MIN: f64 = 4.5;
+/// Wire is taken to be no wider than this.
+const HALF_WIDTH_PX_MAX: f32 = 40.0;
 /// No picture is made smaller than this on its shorter side.
 const SIDE_PX_MIN: usize = 200;
 
@@ -31,7 +36,7 @@ pub struct Picture {
     sizes: Vec<Traced>,
     /// Which of them the last one was traced in.
     halvings: usize,
-    /// Square root of the thickness of the thinnest over that of the thickest part.
+    /// Thickness of the thinnest over that of the thickest part.
     evenness: f64,
 }
 
@@ -72,15 +77,33 @@ impl Traced {
         }
     }
 
-    /// From mask and luma to nodes; gives when the skeleton was there.
-    fn run(&mut self, luma: Option<&Frame>) -> Result<Timestamp, graph::Refusal> {
+    /// From mask and luma to nodes.
+    fn run(&mut self, luma: Option<&Frame>, stages: &mut StageTimes) -> Result<(), graph::Refusal> {
         let Self { mask, skeleton, graph, .. } = self;
+        let begin = Timestamp::now();
         self.thin.run(mask, skeleton);
         let thinned = Timestamp::now();
         self.graphs.run(skeleton, mask, luma.or(Some(&self.plane)), graph)?;
         self.image_nodes.run(graph, mask, &self.rays);
-        Ok(thinned)
+        stages.thin_ns += ns(begin, thinned);
+        stages.graph_ns += ns(thinned, Timestamp::now());
+        Ok(())
     }
+
+    /// Half the width of its wire in pixels: what a quarter of it does not exceed, for regions of several wires are wider.
+    fn half_width_px(&self) -> f64 {
+        let edges = &self.graph.edges;
+        let length = |below: f32| -> usize {
+            edges.iter().filter(|e| e.half_thickness_px <= below).map(|e| e.points.len()).sum()
+        };
+        let all = length(f32::INFINITY);
+        let quarter = edges.iter().map(|e| e.half_thickness_px).filter(|&h| 4 * length(h) >= all);
+        f64::from(quarter.fold(f32::INFINITY, f32::min).min(HALF_WIDTH_PX_MAX))
+    }
+}
+
+fn ns(from: Timestamp, to: Timestamp) -> u64 {
+    to.since(from).max(0) as u64
 }
 
 impl Picture {
@@ -108,7 +131,7 @@ impl Picture {
             binarize,
             sizes,
             halvings: 0,
-            evenness: if parts.is_empty() { 1.0 } else { (thinnest / thickest).sqrt() },
+            evenness: if parts.is_empty() { 1.0 } else { thinnest / thickest },
         })
     }
 
@@ -144,33 +167,50 @@ impl Picture {
             halve_luma(if *halvings == 0 { luma } else { &whole.plane }, &mut half.plane);
             *halvings += 1;
         }
-        let binary = Timestamp::now();
-        let traced = &mut sizes[*halvings];
-        let thinned =
-            traced.run((*halvings == 0).then_some(luma)).map_err(|reason| Refusal::Graph { side, reason })?;
-        let ns = |from: Timestamp, to: Timestamp| to.since(from).max(0) as u64;
         stages.decode_ns += ns(begin, decoded);
-        stages.binarize_ns += ns(decoded, binary);
-        stages.thin_ns += ns(binary, thinned);
-        stages.graph_ns += ns(thinned, Timestamp::now());
+        stages.binarize_ns += ns(decoded, Timestamp::now());
+        self.trace(self.halvings, frame, side, stages)?;
+        while self.halvings > 0 && 2.0 * self.half_width_px() < HALVED_PX_MIN {
+            self.trace(self.halvings - 1, frame, side, stages)?;
+        }
         Ok(())
+    }
+
+    /// Thins the picture halved so many times, and reads its graph.
+    fn trace(
+        &mut self,
+        halvings: usize,
+        frame: &Frame,
+        side: Side,
+        stages: &mut StageTimes,
+    ) -> Result<(), Refusal> {
+        self.halvings = halvings;
+        let Self { decoder, luma, sizes, .. } = self;
+        let luma = (halvings == 0).then(|| luma_of(decoder, luma, frame));
+        sizes[halvings].run(luma, stages).map_err(|reason| Refusal::Graph { side, reason })
     }
 
     /// Has both pictures of a pair, which have just been run, in one size: the larger of theirs.
     ///
     /// # Errors
     /// Where there is too much for a graph in that size.
-    pub(crate) fn agree(pictures: &mut [Picture; 2], frames: [&Frame; 2]) -> Result<(), Refusal> {
+    pub(crate) fn agree(
+        pictures: &mut [Picture; 2],
+        frames: [&Frame; 2],
+        stages: &mut StageTimes,
+    ) -> Result<(), Refusal> {
         let halvings = pictures[0].halvings.min(pictures[1].halvings);
         for ((picture, frame), side) in pictures.iter_mut().zip(frames).zip([Side::Left, Side::Right]) {
             if picture.halvings > halvings {
-                picture.halvings = halvings;
-                let Self { decoder, luma, sizes, .. } = picture;
-                let luma = (halvings == 0).then(|| luma_of(decoder, luma, frame));
-                sizes[halvings].run(luma).map_err(|reason| Refusal::Graph { side, reason })?;
+                picture.trace(halvings, frame, side, stages)?;
             }
         }
         Ok(())
+    }
+
+    /// Half the width of its wire, in pixels of the size that was looked at; at most 40.
+    pub(crate) fn half_width_px(&self) -> f64 {
+        self.traced().half_width_px()
     }
 
     /// How often the picture was halved before it was thinned: what follows is in pixels of that size.
@@ -232,7 +272,7 @@ pub(crate) fn halvings(camera: CameraModel) -> impl Iterator<Item = CameraModel>
 /// Whether wire is better looked at in half the size: where it is thick, skeletons stray far where wires meet.
 fn is_thick(mask: &BitImage, evenness: f64) -> bool {
     let thickness_px = thickness_px(mask);
-    thickness_px >= THICK_PX_MIN * evenness && thickness_px * evenness >= THIN_PX_MIN
+    thickness_px >= THICK_PX_MIN && thickness_px * evenness >= THIN_PX_MIN
 }
 
 /// Luma from which a camera is taken to be saturated.

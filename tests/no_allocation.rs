@@ -1,7 +1,12 @@
 //! The hot stages allocate nothing after `new` and one run.
 
-use pickcell::frame::{Frame, PixelFormat};
+use pickcell::frame::{Frame, FramePair, PixelFormat};
 use pickcell::level::Level;
+use pickcell::part::Part;
+use pickcell::recognize::{Recognition, Recognizer};
+use pickcell::rig::{CameraModel, Rig};
+use pickcell::session::Session;
+use pickcell::time::Budget;
 use pickcell::vision::binarize::{Binarize, ColourRange, Params};
 use pickcell::vision::bits::BitImage;
 use pickcell::vision::decode::{Decoder, Output};
@@ -166,4 +171,45 @@ fn thin_and_graph_allocate_nothing_after_one_run() {
             assert_eq!(allocations_of(|| masks.iter().for_each(&mut run)), 0, "{algorithm:?}, {level:?}");
         }
     }
+}
+
+#[test]
+fn pictures_of_thick_wire_are_halved_and_recognised_without_an_allocation() {
+    let replay = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("replay");
+    let session = Session::open(&replay.join("conveyor")).unwrap();
+    let Rig { left, right, right_from_left } = Rig::read(replay.join("conveyor/calibration.yaml")).unwrap();
+    let twice = |c: CameraModel| CameraModel {
+        width: 2 * c.width,
+        height: 2 * c.height,
+        fx: 2.0 * c.fx,
+        fy: 2.0 * c.fy,
+        cx: 2.0 * c.cx + 0.5,
+        cy: 2.0 * c.cy + 0.5,
+        ..c
+    };
+    let rig = Rig { left: twice(left), right: twice(right), right_from_left };
+    let rod = Part::read(replay.join("parts/rod-90.toml")).unwrap();
+    let mut recognizer = Recognizer::new(Default::default(), rig, vec![rod]).unwrap();
+    let pairs: Vec<FramePair> = session.pairs[..3]
+        .iter()
+        .map(|pair| {
+            let [Some(left), Some(right)] = &pair.pictures else { panic!("a whole pair") };
+            let [left, right] = [left, right].map(|picture| {
+                let small = picture.read_raw().unwrap();
+                let pixels = (0..960 * 1280).flat_map(|at| small.rgb(at % 1280 / 2, at / 1280 / 2));
+                Frame::from_rgb(1280, 960, pixels.collect())
+            });
+            FramePair { left, right }
+        })
+        .collect();
+    let mut found = Recognition::default();
+    let mut run = |pair: &FramePair| {
+        recognizer.run(pair, Budget::Iterations(100_000), 1, &mut found).unwrap();
+        assert_eq!(recognizer.pictures()[0].halvings(), 1);
+        found.parts.len()
+    };
+    run(&pairs[0]);
+    let mut parts = 0;
+    assert_eq!(allocations_of(|| parts = pairs.iter().map(&mut run).sum()), 0);
+    assert!(parts > 20, "{parts}");
 }

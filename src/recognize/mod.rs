@@ -58,7 +58,7 @@ pub use params::Params;
 use prepared::Prepared;
 use result::PARTS_MAX;
 pub use result::{FoundNode, FoundPart, NoPick, Recognition, Refusal, Seen, Side, StageTimes};
-use unexplained::{half_width_px, is_claimed, unexplained_px};
+use unexplained::{is_claimed, unexplained_px};
 use unknown::{Taken, Unknown};
 use views::{lit, views};
 
@@ -227,7 +227,7 @@ impl Recognizer {
                 stages.with(&of_right, |left, right| left + right);
             }
         }
-        Picture::agree(&mut self.pictures, [&pair.left, &pair.right])
+        Picture::agree(&mut self.pictures, [&pair.left, &pair.right], stages)
     }
 
     /// Fills the pool with rough poses of all parts, fittest first: those of matches, and those that single nodes hold
@@ -303,7 +303,7 @@ impl Recognizer {
     /// are any.
     fn search_ridges(&mut self, pair: &FramePair) -> bool {
         // A little that is amiss with a part is no reason to look; but who looks, looks at that as well.
-        let half_px = self.pictures.each_ref().map(half_width_px);
+        let half_px = self.pictures.each_ref().map(Picture::half_width_px);
         for nearly in [true, false] {
             self.explanations.claim_whole(&self.parts, &self.params.select, nearly);
             if !self.find_unexplained(&half_px) {

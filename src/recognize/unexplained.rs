@@ -6,18 +6,6 @@ use crate::matching::claims::ClaimMap;
 use crate::picture::Picture;
 use crate::vision::ridge;
 
-/// Half the width of a wire in a picture, in pixels: what a quarter of its wire does not exceed, for regions of
-/// several wires are wider.
-pub(super) fn half_width_px(picture: &Picture) -> f64 {
-    let edges = &picture.graph().edges;
-    let length = |below: f32| -> usize {
-        edges.iter().filter(|e| e.half_thickness_px <= below).map(|e| e.points.len()).sum()
-    };
-    let all = length(f32::INFINITY);
-    let quarter = edges.iter().map(|e| e.half_thickness_px).filter(|&h| 4 * length(h) >= all);
-    f64::from(quarter.fold(f32::INFINITY, f32::min).min(HALF_WIDTH_PX_MAX))
-}
-
 /// Length of the skeleton that no part claims, in pixels; `area` becomes where it is.
 pub(super) fn unexplained_px(
     picture: &Picture,
@@ -45,9 +33,6 @@ pub(super) fn unexplained_px(
 /// and around which of its pixels.
 const MARGIN_HALF_WIDTHS: f64 = 4.0;
 const AREA_STRIDE: u32 = 4;
-
-/// Wider wire is not looked at by its ridge.
-const HALF_WIDTH_PX_MAX: f32 = 40.0;
 
 /// Whether most of a stretch is claimed.
 pub(super) fn is_claimed(claims: &ClaimMap, stretch: &ridge::Stretch) -> bool {

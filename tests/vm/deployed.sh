@@ -103,7 +103,7 @@ done
 "$cache/camsim/release/camframes" --convert "$run/frames" --to "$run/scene" --cameras 2 >/dev/null
 target/release/firmware-bridge --log warn simulate --pty "$run/arm" --dialect own --park-mm 120 240 200 >"$run/arm.log" &
 arm=$!
-until [ -e "$run/arm" ]; do sleep 0.1; done
+for _ in $(seq 100); do [ -e "$run/arm" ] || sleep 0.1; done
 
 mkdir "$run/out"
 qemu-system-x86_64 -accel tcg,thread=multi -cpu max -m 1500 -smp 2 -nodefaults -display none \
@@ -114,7 +114,7 @@ qemu-system-x86_64 -accel tcg,thread=multi -cpu max -m 1500 -smp 2 -nodefaults -
     -virtfs "local,path=$run/scene,mount_tag=scene,security_model=none" \
     -chardev "serial,id=arm,path=$run/arm" -device qemu-xhci -device usb-serial,chardev=arm,always-plugged=on &
 guest=$!
-deadline=$((SECONDS + ${DEPLOYED_TIMEOUT:-900}))
+deadline=$((SECONDS + ${DEPLOYED_TIMEOUT:-500}))
 while kill -0 "$guest" 2>/dev/null && [ $SECONDS -lt $deadline ]; do sleep 0.5; done
 cat "$run/out/deployed.log" 2>/dev/null || tail -20 "$run/console"
 [ -e "$run/out/passed" ] || { echo "deployed: failed"; exit 1; }

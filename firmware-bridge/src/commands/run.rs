@@ -25,7 +25,8 @@ pub(crate) struct Arguments {
     /// is not.
     #[arg(long, default_value = "cell.toml", value_name = "FILE")]
     cell: PathBuf,
-    /// Wait for a serial port that is not there, as a service does that is started before it; else that is an error.
+    /// Wait for a serial port that is not there or cannot be opened yet, as a service does that is started before it;
+    /// else that is an error.
     #[arg(long)]
     wait: bool,
 }

@@ -95,7 +95,7 @@ impl Link {
         }
     }
 
-    /// Like [`Link::open`], but a serial port that is not there is waited for, as one that was unplugged is: a service
+    /// Like [`Link::open`], but a serial port that is not there or cannot be opened yet is waited for, as one that was unplugged is: a service
     /// may be started before its devices.
     ///
     /// # Errors

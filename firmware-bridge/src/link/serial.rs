@@ -16,9 +16,6 @@ use std::path::{Path, PathBuf};
 
 const MS: i64 = 1_000_000;
 
-/// How long udev has to give the rights to a device that has just come.
-const RIGHTS_WITHIN_NS: i64 = 5000 * MS;
-
 /// Why a serial port cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum SerialError {
@@ -59,6 +56,17 @@ pub enum SerialError {
     },
 }
 
+impl SerialError {
+    /// Whether it may be otherwise in a while, with the same configuration.
+    fn may_pass(&self) -> bool {
+        match self {
+            SerialError::Open { reason, .. } => *reason != Errno::ISDIR,
+            SerialError::Configure { reason, .. } => !matches!(*reason, Errno::NOTTY | Errno::INVAL),
+            SerialError::NoPort | SerialError::Refused { .. } => false,
+        }
+    }
+}
+
 /// A dialect, its port, and what is under way between them.
 #[derive(Debug)]
 pub struct SerialLink {
@@ -90,25 +98,18 @@ impl SerialLink {
         Self::with(settings, session_seed, |path, baud| Port::open(path, baud).map(Some))
     }
 
-    /// Like [`SerialLink::open`], but a port that is not there is waited for, as one that was unplugged is; and for a
-    /// moment also one that is forbidden, because udev gives the rights a moment after the kernel gave the device.
+    /// Like [`SerialLink::open`], but a port that is not there, busy or forbidden is waited for, as one that was unplugged
+    /// is; the log says why.
     ///
     /// # Errors
-    /// A port that is busy, forbidden or no serial device; a move template that cannot be taken.
+    /// A port that is no serial device or does not take the speed; a move template that cannot be taken.
     pub fn open_or_wait(settings: &Settings, session_seed: u32) -> Result<Self, LinkError> {
-        let until_ns = super::clock_ns() + RIGHTS_WITHIN_NS;
-        Self::with(settings, session_seed, |path, baud| {
-            loop {
-                match Port::open(path, baud) {
-                    Err(SerialError::Open { reason: Errno::NOENT | Errno::NXIO | Errno::NODEV, .. }) => {
-                        return Ok(None);
-                    }
-                    Err(SerialError::Open { reason: Errno::ACCESS, .. }) if super::clock_ns() < until_ns => {
-                        std::thread::sleep(std::time::Duration::from_millis(100));
-                    }
-                    opened => return opened.map(Some),
-                }
+        Self::with(settings, session_seed, |path, baud| match Port::open(path, baud) {
+            Err(error) if error.may_pass() => {
+                tracing::warn!("{error}; waiting for it");
+                Ok(None)
             }
+            opened => opened.map(Some),
         })
     }
 

@@ -37,8 +37,8 @@ pub struct RunArgs {
     /// How results are written to standard output
     #[arg(long, value_enum, default_value_t = Format::Text)]
     pub format: Format,
-    /// Wait for cameras and a serial port that are not there, as a service does that is started before them; without
-    /// it that is an error after five seconds
+    /// Wait for cameras and a serial port that are not there or cannot be opened yet, as a service does that is started
+    /// before them; without it that is an error, of cameras after five seconds
     #[arg(long)]
     pub wait: bool,
     /// Endurance test: repeat the recorded session until so many pairs were played, print no lines, fail (exit

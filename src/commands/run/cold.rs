@@ -17,7 +17,7 @@ use super::standing::{self, Standing};
 use super::summary::{self, Endurance};
 use super::{RunError, place};
 use crate::camera::Side;
-use crate::cell::core::{Note, PairReport, TargetEnd};
+use crate::cell::core::{NoPick, Note, PairReport, TargetEnd};
 use crate::cell::desk::{ColdSeat, Desk, File, Letter, Paper};
 use crate::cell::notify;
 use crate::cell::realtime::resident_bytes;
@@ -28,8 +28,9 @@ use crate::recognize::FoundPart;
 use crate::rig::Rig;
 use crate::time::Timestamp;
 
-/// systemd is told new counts so often, ns.
+/// systemd is told new counts so often, and other news at most so often, ns.
 const STATUS_NS: i64 = 2_000_000_000;
+const CHANGED_STATUS_NS: i64 = 200_000_000;
 /// How long the table at the end waits for somebody to take it.
 const LAST_WORDS: Duration = Duration::from_secs(2);
 
@@ -39,8 +40,8 @@ pub(super) struct Cold {
     seat: ColdSeat,
     format: Format,
     lines: Lines,
-    /// Why the last pair led to no target, and whether it kept its deadline.
-    last: Option<(usize, bool)>,
+    /// Why the last pair that was looked at led to no target.
+    last: Option<usize>,
     bar: ProgressBar,
     recorder: Option<Recorder>,
     studio: Option<Studio>,
@@ -197,7 +198,8 @@ impl Cold {
         let words = self.standing.words(telemetry.state());
         let (told, at) = &self.status;
         let now = Timestamp::now();
-        if now.since(*at) >= STATUS_NS || *told != words {
+        let pause_ns = if *told == words { STATUS_NS } else { CHANGED_STATUS_NS };
+        if now.since(*at) >= pause_ns {
             notify::status(&format!("{words} | {}", standing::counts(telemetry)));
             self.status = (words, now);
         }
@@ -259,7 +261,7 @@ impl Cold {
         if let Some(endurance) = &mut self.endurance {
             endurance.pair(self.pairs, resident_bytes);
         }
-        if self.is_told(report, kept) {
+        if self.is_told(report) {
             self.tell_pair(report, file.as_deref(), kept);
         }
         let name = self.name(report);
@@ -285,8 +287,12 @@ impl Cold {
     }
 
     /// Whether this pair gets a line.
-    fn is_told(&mut self, report: &PairReport, kept: bool) -> bool {
-        let now = report.outcome.as_ref().err().map(|why| (why.kind(), kept));
+    fn is_told(&mut self, report: &PairReport) -> bool {
+        // Of a pair that a newer one replaced nothing is known.
+        if report.outcome == Err(NoPick::Superseded) {
+            return self.lines == Lines::All;
+        }
+        let now = report.outcome.as_ref().err().map(NoPick::kind);
         let last = std::mem::replace(&mut self.last, now);
         match self.lines {
             Lines::All => true,

@@ -129,7 +129,7 @@ impl Painter {
             // Refused before by the recogniser; what was made up to there is drawn.
             let _ = self.pictures[picture].run(frame, side, &mut stages);
         }
-        let _ = Picture::agree(&mut self.pictures, [&file.pair.left, &file.pair.right]);
+        let _ = Picture::agree(&mut self.pictures, [&file.pair.left, &file.pair.right], &mut stages);
         let overlay = Overlay {
             frames: [left, right],
             graphs: self.pictures.each_ref().map(|picture| (picture.graph(), picture.halvings())),

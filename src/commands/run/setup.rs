@@ -255,7 +255,8 @@ fn waker() -> Result<Arc<Waker>, RunError> {
 }
 
 fn live(cell: &Cell, wait: bool) -> Result<Eyes, RunError> {
-    use crate::camera::v4l::{CameraError, V4lCamera, list};
+    use crate::camera::Trouble;
+    use crate::camera::v4l::{V4lCamera, list};
     let (Some(left), Some(right)) = (&cell.cameras.left, &cell.cameras.right) else {
         unreachable!("a cell with live cameras has both: config checks it")
     };
@@ -269,9 +270,12 @@ fn live(cell: &Cell, wait: bool) -> Result<Eyes, RunError> {
         }
     }
     let open = |side: &'static str, settings: &config::CameraSettings| {
-        let patience = if wait && !settings.device.exists() { Duration::ZERO } else { CAMERA_PATIENCE };
+        let patience = if wait { Duration::ZERO } else { CAMERA_PATIENCE };
         match V4lCamera::open_within(settings.clone(), patience) {
-            Err(CameraError::Absent { .. }) if wait => Ok(V4lCamera::closed(settings.clone())),
+            // It goes on trying, and says why it must.
+            Err(reason) if wait && reason.trouble() != Trouble::NotAsAsked => {
+                Ok(V4lCamera::closed(settings.clone()))
+            }
             opened => opened.map_err(|reason| RunError::Camera { side, reason }),
         }
     };

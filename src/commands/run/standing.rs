@@ -19,6 +19,7 @@ impl Standing {
     /// Takes in what the core says.
     pub(super) fn hear(&mut self, note: &Note) {
         match *note {
+            Note::Pair(report) if report.outcome == Err(NoPick::Superseded) => {}
             Note::Pair(report) => self.no_pick = report.outcome.err(),
             Note::Alarm(alarm @ (Alarm::CameraLost { side, .. } | Alarm::CameraSilent { side })) => {
                 self.cameras[side.index()] = Some(alarm);
@@ -30,7 +31,12 @@ impl Standing {
                 | Alarm::ArmSilent
                 | Alarm::OnHold { .. }
                 | Alarm::Controller { .. }
-                | Alarm::PositionUnknown),
+                | Alarm::PositionUnknown
+                | Alarm::TargetTimedOut { .. }
+                | Alarm::ReportsLost
+                | Alarm::WrongVersion { .. }
+                | Alarm::WrongDialect
+                | Alarm::Suspended { .. }),
             ) => self.arm = Some(alarm),
             Note::Connected { .. } | Note::Released | Note::Ready => self.arm = None,
             Note::Sent { .. }
