@@ -10,7 +10,8 @@ for needed in ../shared/v4l2-vm/v4l2-vm ../shared/scenes/conveyor; do
     [ -e "$needed" ] || left_out "$needed is not here"
 done
 [ "$(id -u)" = 0 ] || left_out "only root can make the guest's disk"
-command -v debootstrap >/dev/null || apt-get install -y --no-install-recommends debootstrap >/dev/null 2>&1 ||
+get() { apt-get install -y --no-install-recommends "$@" >/dev/null 2>&1; }
+command -v debootstrap >/dev/null || get debootstrap || { apt-get update >/dev/null 2>&1 && get debootstrap; } ||
     left_out "debootstrap cannot be installed"
 
 cargo build --release --workspace --bins
@@ -20,8 +21,9 @@ mkdir -p "$vm"
 if [ ! -e "$debian/made" ]; then
     echo "deployed: a Debian for the guest is put into $debian"
     rm -rf "$debian"
-    mirror=$(sed -n 's/^\(URIs:\|deb\) *\(\[.*\] *\)*\(http[^ ]*\/debian\)\/* *.*/\3/p' \
-        /etc/apt/sources.list /etc/apt/sources.list.d/debian.sources 2>/dev/null | head -1)
+    # Where this machine has its packages from, else debootstrap's own choice.
+    mirror=$(cat /etc/apt/sources.list /etc/apt/sources.list.d/debian.sources 2>/dev/null |
+        sed -n 's/^\(URIs:\|deb\) *\(\[.*\] *\)*\(http[^ ]*\/debian\)\/* *.*/\3/p' | head -1 || true)
     debootstrap --variant=minbase --include=systemd,systemd-sysv,udev,dbus,kmod,make,procps,util-linux \
         bookworm "$debian" ${mirror:+"$mirror"} >"$vm/debootstrap.log" 2>&1 ||
         left_out "no Debian can be fetched, see $vm/debootstrap.log"
