@@ -109,6 +109,15 @@ impl Frame {
         Frame { bytes, format: PixelFormat::Rgb, width, height, stride_bytes: 3 * width, ..Frame::default() }
     }
 
+    /// A grey frame of tightly packed bytes.
+    ///
+    /// # Panics
+    /// Where `bytes` is not `width * height` long.
+    pub fn from_grey(width: usize, height: usize, bytes: Vec<u8>) -> Self {
+        assert_eq!(bytes.len(), width * height, "bytes of a grey {width}x{height} picture");
+        Frame { bytes, format: PixelFormat::Grey, width, height, stride_bytes: width, ..Frame::default() }
+    }
+
     /// Bytes of one row of this format and width, without what is between rows; 0 for MJPEG.
     pub fn row_bytes(&self) -> usize {
         match self.format {

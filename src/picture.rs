@@ -46,7 +46,7 @@ struct Traced {
     thin: WholeThin,
     graphs: Graphs,
     image_nodes: ImageNodes,
-    /// Its luma; unused where it is not halved.
+    /// Its luma; empty where it is not halved.
     plane: Frame,
     mask: BitImage,
     skeleton: BitImage,
@@ -54,7 +54,7 @@ struct Traced {
 }
 
 impl Traced {
-    fn new(params: &Params, camera: CameraModel) -> Self {
+    fn new(params: &Params, camera: CameraModel, plane: Frame) -> Self {
         let (width, height) = (camera.width, camera.height);
         let graph_limits = params.graph.unwrap_or(graph::Params::for_size(width, height));
         let mut graph = Graph::default();
@@ -63,13 +63,7 @@ impl Traced {
             thin: WholeThin::new(params.thin, width, height),
             graphs: Graphs::new(graph_limits, width, height),
             image_nodes: ImageNodes::new(params.nodes),
-            plane: Frame {
-                format: PixelFormat::Grey,
-                width,
-                height,
-                stride_bytes: width,
-                ..Frame::default()
-            },
+            plane,
             mask: BitImage::new(width, height),
             skeleton: BitImage::new(width, height),
             graph,
@@ -116,12 +110,11 @@ impl Picture {
         let (width, height) = (camera.width, camera.height);
         let binarize = Binarize::new(range, width, height)?;
         let output = if binarize.needs_luma_only() { Output::Grey } else { Output::Rgb };
-        let mut sizes = vec![Traced::new(params, camera)];
-        for camera in halvings(camera).skip(1) {
-            let mut half = Traced::new(params, camera);
-            half.plane.bytes.resize(camera.width * camera.height, 0);
-            sizes.push(half);
-        }
+        let mut sizes = vec![Traced::new(params, camera, Frame::default())];
+        sizes.extend(halvings(camera).skip(1).map(|half| {
+            let (width, height) = (half.width, half.height);
+            Traced::new(params, half, Frame::from_grey(width, height, vec![0; width * height]))
+        }));
         let thickness = || parts.iter().map(|part| part.thickness_mm);
         let (thinnest, thickest) =
             (thickness().fold(f64::INFINITY, f64::min), thickness().fold(0.0, f64::max));

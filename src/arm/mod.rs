@@ -31,7 +31,8 @@ impl Arm {
         Ok(Arm::Linked(Box::new(Link::open(settings, session_seed)?)))
     }
 
-    /// Like [`Arm::open`], but a serial port that is not there is waited for, as one that was unplugged is.
+    /// Like [`Arm::open`], but a serial port that is not there or cannot be opened yet is waited for, as one that was
+    /// unplugged is.
     ///
     /// # Errors
     /// What else is missing or taken, with the remedy.

@@ -360,8 +360,7 @@ mod tests {
         let path = folder.join("a.mcap");
         let mut writer = RecordingWriter::create(&path, &About::default()).unwrap();
         for i in 0..4 {
-            let mut grey = Frame { format: PixelFormat::Grey, width: 2, height: 2, ..Frame::default() };
-            (grey.stride_bytes, grey.bytes) = (2, vec![i as u8; 4]);
+            let grey = Frame::from_grey(2, 2, vec![i as u8; 4]);
             let broken = Frame { format: PixelFormat::Mjpeg, bytes: vec![1; 9], ..Frame::default() };
             let right = if damaged.contains(&i) { broken } else { grey.clone() };
             for (side, mut frame) in Side::BOTH.into_iter().zip([grey, right]) {

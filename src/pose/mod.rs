@@ -34,17 +34,16 @@
 //!     let ends = [-half_mm, half_mm]
 //!         .map(|mm| camera.project(&(camera_from_left * (truth * Point3::from(axis.scale(mm))))).unwrap());
 //!     let (along, radius_px) = ((ends[1] - ends[0]).normalize(), model.radius_mm * 600.0 / 470.0);
-//!     let mut frame =
-//!         Frame { format: PixelFormat::Grey, width: 640, height: 480, stride_bytes: 640, ..Frame::default() };
+//!     let mut bytes = Vec::new();
 //!     let mut mask = BitImage::new(640, 480);
 //!     for (y, x) in (0..480).flat_map(|y| (0..640).map(move |x| (y, x))) {
 //!         let from = nalgebra::Vector2::new(x as f64, y as f64) - ends[0];
 //!         let (at, beside) = (from.dot(&along), from.perp(&along).abs());
 //!         let inside = (radius_px - beside).min(at).min((ends[1] - ends[0]).norm() - at);
-//!         frame.bytes.push((120.0 + 160.0 * inside.clamp(-0.5, 0.5)) as u8);
+//!         bytes.push((120.0 + 160.0 * inside.clamp(-0.5, 0.5)) as u8);
 //!         mask.set(x, y, inside >= 0.0);
 //!     }
-//!     (frame, mask)
+//!     (Frame::from_grey(640, 480, bytes), mask)
 //! });
 //! let [left, right] = [0, 1].map(|side| View {
 //!     camera: &camera,

@@ -8,7 +8,6 @@
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Point3, Vector2, Vector3};
 
 use super::RigError;
-use crate::vision::halve::in_half;
 
 /// Pinhole and distortion of one camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,7 +39,7 @@ impl CameraModel {
         Self { width, height, fx: focal_px, fy: focal_px, cx, cy, distortion: [0.0; 14] }
     }
 
-    /// The camera of the same picture at half its size; see [`crate::vision::halve`].
+    /// The camera of the same picture at half its size, of which a pixel is four of this one's.
     pub fn halved(&self) -> Self {
         let Self { width, height, fx, fy, cx, cy, distortion } = *self;
         Self {
@@ -48,8 +47,8 @@ impl CameraModel {
             height: height / 2,
             fx: fx / 2.0,
             fy: fy / 2.0,
-            cx: in_half(cx),
-            cy: in_half(cy),
+            cx: (cx - 0.5) / 2.0,
+            cy: (cy - 0.5) / 2.0,
             distortion,
         }
     }

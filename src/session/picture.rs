@@ -180,14 +180,9 @@ pub(super) fn decoded(frame: Frame, path: PathBuf) -> Result<Frame, PictureError
 
 fn from_decoded(decoded: DynamicImage, width: usize, height: usize) -> Frame {
     match decoded.color() {
-        ColorType::L8 | ColorType::La8 | ColorType::L16 | ColorType::La16 => Frame {
-            bytes: decoded.into_luma8().into_raw(),
-            format: PixelFormat::Grey,
-            width,
-            height,
-            stride_bytes: width,
-            ..Frame::default()
-        },
+        ColorType::L8 | ColorType::La8 | ColorType::L16 | ColorType::La16 => {
+            Frame::from_grey(width, height, decoded.into_luma8().into_raw())
+        }
         _ => Frame::from_rgb(width, height, decoded.into_rgb8().into_raw()),
     }
 }

@@ -2,7 +2,8 @@
 //!
 //! A pixel of the half is four of the whole. What wire is told by, its skeleton, its ends and its outlines, is found to a
 //! share of a pixel in either; the half has a quarter of the work, and skeletons that stray half as far where wires
-//! meet. Pixel centres are at whole numbers: `x` of the whole is `(x - 0.5) / 2` of the half, see [`in_half`].
+//! meet. Pixel centres are at whole numbers: `x` of the whole is `(x - 0.5) / 2` of the half, and so is the camera's
+//! principal point, see [`CameraModel::halved`](crate::rig::CameraModel::halved).
 //!
 //! ```
 //! use pickcell::vision::bits::BitImage;
@@ -124,11 +125,6 @@ pub fn halve_luma(luma: &Frame, half: &mut Frame) {
     }
 }
 
-/// A place of the whole picture in its half.
-pub fn in_half(whole_px: f64) -> f64 {
-    (whole_px - 0.5) / 2.0
-}
-
 /// A place of a picture that was halved so many times in the whole.
 pub fn in_whole(half_px: Vector2<f64>, times: usize) -> Vector2<f64> {
     (0..times).fold(half_px, |px, _| px.map(|px| 2.0 * px + 0.5))
@@ -137,7 +133,8 @@ pub fn in_whole(half_px: Vector2<f64>, times: usize) -> Vector2<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frame::PixelFormat;
+    use crate::rig::CameraModel;
+    use nalgebra::Point3;
     use proptest::prelude::*;
 
     proptest! {
@@ -185,19 +182,13 @@ mod tests {
 
     #[test]
     fn light_is_the_mean_of_four_and_a_place_is_found_again() {
-        let frame = |width, height, bytes: Vec<u8>| Frame {
-            bytes,
-            format: PixelFormat::Grey,
-            width,
-            height,
-            stride_bytes: width,
-            ..Frame::default()
-        };
-        let luma = frame(5, 3, vec![0, 1, 254, 255, 9, 2, 3, 255, 255, 9, 9, 9, 9, 9, 9]);
-        let mut half = frame(2, 1, vec![0; 2]);
+        let luma = Frame::from_grey(5, 3, vec![0, 1, 254, 255, 9, 2, 3, 255, 255, 9, 9, 9, 9, 9, 9]);
+        let mut half = Frame::from_grey(2, 1, vec![0; 2]);
         halve_luma(&luma, &mut half);
         assert_eq!(half.bytes, [2, 255]);
-        let half = Vector2::new(10.0, 7.25).map(in_half).map(in_half);
-        assert_eq!(in_whole(half, 2), Vector2::new(10.0, 7.25));
+        let camera = CameraModel::pinhole(640, 480, 600.0, 320.0, 240.0);
+        let point = Point3::new(10.0, -7.0, 500.0);
+        let quarter = camera.halved().halved().project(&point).unwrap();
+        assert!((in_whole(quarter, 2) - camera.project(&point).unwrap()).norm() < 1e-9);
     }
 }

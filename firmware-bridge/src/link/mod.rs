@@ -95,8 +95,8 @@ impl Link {
         }
     }
 
-    /// Like [`Link::open`], but a serial port that is not there or cannot be opened yet is waited for, as one that was unplugged is: a service
-    /// may be started before its devices.
+    /// Like [`Link::open`], but a serial port that is not there or cannot be opened yet is waited for, as one that was
+    /// unplugged is: a service may be started before its devices.
     ///
     /// # Errors
     /// What else is missing or taken, with the remedy.

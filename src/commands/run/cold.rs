@@ -17,7 +17,7 @@ use super::standing::{self, Standing};
 use super::summary::{self, Endurance};
 use super::{RunError, place};
 use crate::camera::Side;
-use crate::cell::core::{NoPick, Note, PairReport, TargetEnd};
+use crate::cell::core::{Note, PairReport, TargetEnd};
 use crate::cell::desk::{ColdSeat, Desk, File, Letter, Paper};
 use crate::cell::notify;
 use crate::cell::realtime::resident_bytes;
@@ -40,8 +40,6 @@ pub(super) struct Cold {
     seat: ColdSeat,
     format: Format,
     lines: Lines,
-    /// Why the last pair that was looked at led to no target.
-    last: Option<usize>,
     bar: ProgressBar,
     recorder: Option<Recorder>,
     studio: Option<Studio>,
@@ -96,7 +94,6 @@ impl Cold {
         Ok(Self {
             format: args.format,
             lines: if args.soak.is_some() { Lines::None } else { args.lines },
-            last: None,
             bar: progress_bar(total, args.format),
             recorder,
             studio,
@@ -257,11 +254,11 @@ impl Cold {
                 self.found[part.part] += 1;
             }
         }
-        self.standing.hear(&Note::Pair(*report));
+        let is_news = self.standing.pair(report.outcome);
         if let Some(endurance) = &mut self.endurance {
             endurance.pair(self.pairs, resident_bytes);
         }
-        if self.is_told(report) {
+        if self.lines == Lines::All || self.lines == Lines::Changes && is_news {
             self.tell_pair(report, file.as_deref(), kept);
         }
         let name = self.name(report);
@@ -283,21 +280,6 @@ impl Cold {
         match self.names.get(sequence % self.names.len().max(1)) {
             Some(name) => name.clone(),
             None => format!("{:06}", report.pair.number),
-        }
-    }
-
-    /// Whether this pair gets a line.
-    fn is_told(&mut self, report: &PairReport) -> bool {
-        // Of a pair that a newer one replaced nothing is known.
-        if report.outcome == Err(NoPick::Superseded) {
-            return self.lines == Lines::All;
-        }
-        let now = report.outcome.as_ref().err().map(NoPick::kind);
-        let last = std::mem::replace(&mut self.last, now);
-        match self.lines {
-            Lines::All => true,
-            Lines::Changes => now.is_none() || now != last,
-            Lines::None => false,
         }
     }
 

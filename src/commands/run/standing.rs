@@ -1,7 +1,7 @@
 //! How the cell stands, in one line for the service manager: what keeps it from picking, if anything does, and the
 //! counts.
 
-use crate::cell::core::{Alarm, Cause, NoPick, Note, State};
+use crate::cell::core::{Alarm, Cause, NoPick, Note, State, TargetSent};
 use crate::telemetry::Telemetry;
 
 /// What was said and still holds.
@@ -11,16 +11,27 @@ pub(super) struct Standing {
     cameras: [Option<Alarm>; 2],
     /// Why the arm does not move, in the words of the last alarm.
     arm: Option<Alarm>,
-    /// Why the last pair led to no target.
+    /// Why the last pair that was looked at led to no target.
     no_pick: Option<NoPick>,
 }
 
 impl Standing {
-    /// Takes in what the core says.
+    /// Takes in what became of a pair; says whether that is news: a target, or another reason for none than before.
+    pub(super) fn pair(&mut self, outcome: Result<TargetSent, NoPick>) -> bool {
+        let no_pick = outcome.err();
+        // Of a pair that a newer one replaced nothing is known.
+        if no_pick == Some(NoPick::Superseded) {
+            return false;
+        }
+        let kind = |no_pick: &Option<NoPick>| no_pick.as_ref().map(NoPick::kind);
+        let is_news = no_pick.is_none() || kind(&no_pick) != kind(&self.no_pick);
+        self.no_pick = no_pick;
+        is_news
+    }
+
+    /// Takes in what else the core says.
     pub(super) fn hear(&mut self, note: &Note) {
         match *note {
-            Note::Pair(report) if report.outcome == Err(NoPick::Superseded) => {}
-            Note::Pair(report) => self.no_pick = report.outcome.err(),
             Note::Alarm(alarm @ (Alarm::CameraLost { side, .. } | Alarm::CameraSilent { side })) => {
                 self.cameras[side.index()] = Some(alarm);
                 self.no_pick = None;
@@ -39,7 +50,8 @@ impl Standing {
                 | Alarm::Suspended { .. }),
             ) => self.arm = Some(alarm),
             Note::Connected { .. } | Note::Released | Note::Ready => self.arm = None,
-            Note::Sent { .. }
+            Note::Pair(_)
+            | Note::Sent { .. }
             | Note::Accepted { .. }
             | Note::Ended { .. }
             | Note::Alarm(_)
@@ -98,5 +110,21 @@ mod tests {
         assert_eq!(standing.words(State::Looking), "looking");
         standing.hear(&Note::Alarm(Alarm::SlotLeftOut { slot: 3 }));
         assert_eq!(standing.words(State::Held), "on hold", "another alarm is no reason for it");
+    }
+
+    #[test]
+    fn a_pair_is_news_where_it_leads_to_a_target_or_to_none_for_another_reason() {
+        let mut standing = Standing::default();
+        let mut is_news = |outcome| standing.pair(outcome);
+        let target = Ok(TargetSent { id: 7, candidate: 0 });
+        assert!(is_news(Err(NoPick::OnHold)));
+        assert!(!is_news(Err(NoPick::OnHold)));
+        assert!(
+            !is_news(Err(NoPick::Superseded)) && !is_news(Err(NoPick::OnHold)),
+            "of that nothing is known"
+        );
+        assert!(is_news(Err(NoPick::ArmBusy)) && is_news(target) && is_news(target));
+        assert!(is_news(Err(NoPick::ArmBusy)));
+        assert!(standing.words(State::Moving).ends_with("last pair: arm busy"));
     }
 }

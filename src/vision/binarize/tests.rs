@@ -335,14 +335,7 @@ fn floor_that_a_heap_hides_is_known_from_around() {
         };
         let bytes =
             (0..w * h).map(|i| level(i % w, i / w)).map(|v: u8| if dark { 230 - v } else { v }).collect();
-        let frame = Frame {
-            bytes,
-            format: PixelFormat::Grey,
-            width: w,
-            height: h,
-            stride_bytes: w,
-            ..Frame::default()
-        };
+        let frame = Frame::from_grey(w, h, bytes);
         let params = Params { colour: ColourRange::Auto, inverted: dark, ..Params::default() };
         for &by in Level::available() {
             let bits = run(&params, by, &frame);

@@ -17,7 +17,7 @@
 //!
 //! // Two wires side by side, 8 pixels thick each, brightest along their middles: one region of the mask.
 //! let (width, height) = (320, 64);
-//! let mut frame = Frame { format: PixelFormat::Grey, width, height, stride_bytes: width, ..Frame::default() };
+//! let mut bytes = Vec::new();
 //! let mut mask = BitImage::new(width, height);
 //! for (y, x) in (0..height).flat_map(|y| (20..300).map(move |x| (y, x))) {
 //!     let beside = [28.0, 36.0].map(|middle: f64| (y as f64 - middle).abs() / 4.0);
@@ -27,8 +27,9 @@
 //!     let beside = [28.0, 36.0].map(|middle: f64| (y as f64 - middle).abs() / 4.0);
 //!     let light = beside.map(|b| 160.0 * (1.0 - b * b).max(0.0).sqrt());
 //!     let row = |x| if (20..300).contains(&x) { (40.0 + light[0].max(light[1])) as u8 } else { 40 };
-//!     frame.bytes.extend((0..width).map(row));
+//!     bytes.extend((0..width).map(row));
 //! }
+//! let frame = Frame::from_grey(width, height, bytes);
 //! let mut everywhere = Area::new(width, height);
 //! everywhere.include(width / 2, height / 2, width);
 //! let mut ridges = Ridges::new(Params::default(), width, height);
@@ -271,7 +272,7 @@ impl Line {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frame::{Frame, PixelFormat};
+    use crate::frame::Frame;
 
     /// A picture of round wires of 7 pixels diameter, brightest along their middles.
     fn picture(wires: &[[[f64; 2]; 2]]) -> (Frame, BitImage) {
@@ -294,17 +295,7 @@ mod tests {
                 }
             }
         }
-        (
-            Frame {
-                bytes,
-                format: PixelFormat::Grey,
-                width: w,
-                height: h,
-                stride_bytes: w,
-                ..Frame::default()
-            },
-            mask,
-        )
+        (Frame::from_grey(w, h, bytes), mask)
     }
 
     fn stretches(wires: &[[[f64; 2]; 2]]) -> Vec<Stretch> {

@@ -268,7 +268,7 @@ fn ridge_through(curvature: f32, [gx, gy]: [f32; 2], [gxx, gxy, gyy]: [f32; 3]) 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frame::{Frame, PixelFormat};
+    use crate::frame::Frame;
 
     #[test]
     fn all_levels_give_the_same_points() {
@@ -280,14 +280,7 @@ mod tests {
                 (128.0 + wave) as u8
             })
             .collect();
-        let frame = Frame {
-            bytes,
-            format: PixelFormat::Grey,
-            width,
-            height,
-            stride_bytes: width,
-            ..Frame::default()
-        };
+        let frame = Frame::from_grey(width, height, bytes);
         let mut mask = BitImage::new(width, height);
         (0..width * height).filter(|i| i % 7 != 0).for_each(|i| mask.set(i % width, i / width, true));
         let mut area = Area::new(width, height);

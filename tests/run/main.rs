@@ -1,10 +1,11 @@
 //! `pickcell run` as a whole program, on the session that comes with the project and on bad input.
 
+mod live;
+
 use std::fs;
 use std::io::{BufRead, BufReader, Write};
-use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use firmware_bridge::message::{Command as ArmCommand, Failure, HeldBy, Pick, Pose, Refusal, Report, Seen};
@@ -190,70 +191,6 @@ fn a_run_under_its_deadline_replayed_gives_the_same_targets() {
         assert_eq!(before, after);
     }
     assert_eq!(recorded.len(), replayed.len());
-}
-
-#[test]
-fn a_camera_by_its_number_is_warned_of() {
-    let cameras = ["left", "right"].map(|side| {
-        format!("[cameras.{side}]\ndevice = \"/dev/video9{}\"\nformat = \"YUYV\"\nwidth = 640\nheight = 480\nrate_hz = 30\n", side.len())
-    });
-    let rig = format!("{}[rig]", cameras.concat());
-    let cell = Cell::new(&[("backend = \"replay\"", "backend = \"v4l2\""), ("[rig]", &rig)]);
-    let output = cell.run(&[]);
-    assert_eq!(output.status.code(), Some(2));
-    let said = stderr(&output);
-    let warning =
-        "cameras.left.device = \"/dev/video94\" is a number that changes when cameras are plugged in anew";
-    assert_eq!(said.matches(warning).count(), 1, "{said}");
-}
-
-#[test]
-fn a_service_stands_before_its_cameras_and_says_what_it_waits_for() {
-    let cameras = ["left", "right"].map(|side| {
-        format!("[cameras.{side}]\ndevice = \"/dev/pickcell/{side}\"\nformat = \"MJPG\"\nwidth = 640\nheight = 480\nrate_hz = 30\n")
-    });
-    let rig = format!("{}[rig]", cameras.concat());
-    let cell = Cell::new(&[("backend = \"replay\"", "backend = \"v4l2\""), ("[rig]", &rig)]);
-    let manager = UnixDatagram::bind(cell.path("notify")).unwrap();
-    manager.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
-    let mut child = Ended(
-        cell.command(&["--wait"])
-            .env("NOTIFY_SOCKET", cell.path("notify"))
-            .env("WATCHDOG_USEC", "1000000")
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn()
-            .unwrap(),
-    );
-    let until = Instant::now() + Duration::from_secs(60);
-    let hear = |wanted: &[&str]| {
-        loop {
-            let mut text = [0; 1024];
-            let n = manager.recv(&mut text).expect("a word of the cell");
-            let text = String::from_utf8_lossy(&text[..n]).into_owned();
-            if wanted.iter().all(|wanted| text.contains(wanted)) {
-                return;
-            }
-            assert!(Instant::now() < until, "{wanted:?} is not said");
-        }
-    };
-    hear(&["READY=1"]);
-    hear(&["STATUS=", "left camera: unplugged", "right camera: unplugged", "| 0 pairs"]);
-    hear(&["WATCHDOG=1"]);
-    hear(&["WATCHDOG=1"]);
-    kill_process(Pid::from_child(&child.0), Signal::TERM).unwrap();
-    hear(&["STOPPING=1"]);
-    assert_eq!(child.0.wait().unwrap().code(), Some(0));
-}
-
-/// A process that does not outlive its test.
-struct Ended(Child);
-
-impl Drop for Ended {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
 }
 
 /// A pick as a recording holds it, and what the arm said to it and when, ms.
