@@ -3,6 +3,9 @@
 use super::{ColourEncoding, Frame, PixelFormat, colour};
 use crate::level::Level;
 
+/// Places of a line that are read together.
+const BLOCK: usize = 16;
+
 /// The luma of one frame, for measuring edges: format, stride and colour conversion are looked up once, so that
 /// a sample between four pixels takes a few nanoseconds.
 #[derive(Clone, Copy)]
@@ -108,7 +111,22 @@ impl<'a> LumaView<'a> {
     /// Where they leave the picture.
     #[inline]
     pub fn read_line(&self, x: usize, y: usize, down: bool, out: &mut [u8]) {
-        let count = out.len();
+        self.each_of_line(x, y, down, out.len(), |k, luma| out[k] = luma);
+    }
+
+    /// Gives luma of `count` pixels from (x, y) on, to the right or, where `down`, downwards, each with its number.
+    ///
+    /// # Panics
+    /// Where they leave the picture.
+    #[inline(always)]
+    pub fn each_of_line(
+        &self,
+        x: usize,
+        y: usize,
+        down: bool,
+        count: usize,
+        mut each: impl FnMut(usize, u8),
+    ) {
         let (dx, dy) = if down { (0, 1) } else { (1, 0) };
         assert!(
             x + dx * count <= self.width + (1 - dx) && y + dy * count <= self.height + (1 - dy),
@@ -118,22 +136,21 @@ impl<'a> LumaView<'a> {
             let step = if down { self.stride } else { 3 };
             let begin = y * self.stride + 3 * x;
             let bytes = &self.bytes[begin..begin + (count.max(1) - 1) * step + 3];
-            for (k, o) in out.iter_mut().enumerate() {
+            for k in 0..count {
                 let p = &bytes[k * step..k * step + 3];
                 let sum = i32::from(p[0]) * w[0] + i32::from(p[1]) * w[1] + i32::from(p[2]) * w[2];
-                *o = ((sum + (1 << (colour::LUMA_SHIFT - 1))) >> colour::LUMA_SHIFT) as u8;
+                each(k, ((sum + (1 << (colour::LUMA_SHIFT - 1))) >> colour::LUMA_SHIFT) as u8);
             }
         } else if let Reading::Plain { step: bytes } = self.reading {
             let begin = y * self.stride + bytes * x;
-            match if down { self.stride } else { bytes } {
-                1 => out.copy_from_slice(&self.bytes[begin..begin + count]),
-                step => {
-                    out.iter_mut().zip(self.bytes[begin..].iter().step_by(step)).for_each(|(o, b)| *o = *b)
-                }
+            let step = if down { self.stride } else { bytes };
+            let bytes = &self.bytes[begin..begin + (count.max(1) - 1) * step + 1];
+            for k in 0..count {
+                each(k, bytes[k * step]);
             }
         } else {
-            for (k, o) in out.iter_mut().enumerate() {
-                *o = self.at(x + dx * k, y + dy * k);
+            for k in 0..count {
+                each(k, self.at(x + dx * k, y + dy * k));
             }
         }
     }
@@ -142,33 +159,45 @@ impl<'a> LumaView<'a> {
     /// picture its border goes on; a NaN coordinate counts as 0. Places in grey pictures are rounded to 1/256 pixel.
     #[inline]
     pub fn sample(&self, x: f32, y: f32) -> f32 {
-        let mut value = [0.0];
-        self.add_line([x.into(), y.into()], [0.0; 2], &mut value);
-        value[0]
+        self.lines::<1, 1>([[x.into(), y.into()]], [0.0; 2], 1)[0][0]
     }
 
-    /// Adds [`LumaView::sample`] at places `step` apart, the first at `from`, to `sums`.
+    /// [`LumaView::sample`] at `count` places along each of some lines side by side: the first at `from`, the others `step`
+    /// apart. What is behind them in a line is any number.
+    ///
+    /// # Panics
+    /// Where `count` is more than `LEN`.
     #[inline]
-    pub fn add_line(&self, from: [f64; 2], step: [f64; 2], sums: &mut [f32]) {
+    pub fn lines<const N: usize, const LEN: usize>(
+        &self,
+        from: [[f64; 2]; N],
+        step: [f64; 2],
+        count: usize,
+    ) -> [[f32; LEN]; N] {
         match self.reading {
-            Reading::Weighted(w) => self.add_each(from, step, sums, |x, y| {
+            Reading::Weighted(w) => self.lines_one_by_one(from, step, count, |x, y| {
                 let p = y * self.stride + 3 * x;
                 let p = &self.bytes[p..p + 3];
                 (i32::from(p[0]) * w[0] + i32::from(p[1]) * w[1] + i32::from(p[2]) * w[2]) as f32
                     * (1.0 / (1 << colour::LUMA_SHIFT) as f32)
             }),
-            Reading::Plain { step: 1 } if self.is_line_inside(from, step, sums.len()) => {
-                self.add_each_plain(from, step, sums);
+            Reading::Plain { step: 1 }
+                if LEN.is_multiple_of(BLOCK)
+                    && from.iter().all(|from| self.is_line_inside(*from, step, count)) =>
+            {
+                self.lines_in_blocks(from, step, count)
             }
-            Reading::Plain { step: bytes } => {
-                self.add_each(from, step, sums, |x, y| f32::from(self.bytes[y * self.stride + bytes * x]))
-            }
-            Reading::Limited { step: bytes, .. } => self.add_each(from, step, sums, |x, y| {
+            Reading::Plain { step: bytes } => self.lines_one_by_one(from, step, count, |x, y| {
+                f32::from(self.bytes[y * self.stride + bytes * x])
+            }),
+            Reading::Limited { step: bytes, .. } => self.lines_one_by_one(from, step, count, |x, y| {
                 // Black is 16 and white 235, as in `Ycbcr`.
                 let luma = f32::from(self.bytes[y * self.stride + bytes * x]);
                 ((luma - 16.0) * (255.0 / 219.0)).clamp(0.0, 255.0)
             }),
-            Reading::Ycbcr { .. } => self.add_each(from, step, sums, |x, y| f32::from(self.at(x, y))),
+            Reading::Ycbcr { .. } => {
+                self.lines_one_by_one(from, step, count, |x, y| f32::from(self.at(x, y)))
+            }
         }
     }
 
@@ -184,85 +213,115 @@ impl<'a> LumaView<'a> {
         inside(from) && inside([from[0] + step[0] * last, from[1] + step[1] * last])
     }
 
-    /// [`LumaView::add_line`] of a grey picture, all inside; places are rounded to 1/256 pixel.
-    fn add_each_plain(&self, from: [f64; 2], step: [f64; 2], sums: &mut [f32]) {
+    /// [`LumaView::lines`] of a grey picture, all inside; places are rounded to 1/256 pixel.
+    fn lines_in_blocks<const N: usize, const LEN: usize>(
+        &self,
+        from: [[f64; 2]; N],
+        step: [f64; 2],
+        count: usize,
+    ) -> [[f32; LEN]; N] {
+        let mut lines = [[0.0; LEN]; N];
         match self.level {
             // SAFETY: `Level::detect` names only what the machine has.
             #[cfg(target_arch = "x86_64")]
-            Level::Avx512 => unsafe { self.add_each_plain_avx512(from, step, sums) },
+            Level::Avx512 => unsafe { self.read_blocks_avx512(from, step, count, &mut lines) },
             // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
-            Level::Avx2 => unsafe { self.add_each_plain_avx2(from, step, sums) },
-            _ => self.add_blocks(from, step, sums),
+            Level::Avx2 => unsafe { self.read_blocks_avx2(from, step, count, &mut lines) },
+            _ => self.read_blocks(from, step, count, &mut lines),
         }
+        lines
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,bmi1,bmi2")]
-    fn add_each_plain_avx512(&self, from: [f64; 2], step: [f64; 2], sums: &mut [f32]) {
-        self.add_blocks(from, step, sums);
+    fn read_blocks_avx512<const N: usize, const LEN: usize>(
+        &self,
+        from: [[f64; 2]; N],
+        step: [f64; 2],
+        count: usize,
+        lines: &mut [[f32; LEN]; N],
+    ) {
+        self.read_blocks(from, step, count, lines);
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,bmi1,bmi2")]
-    fn add_each_plain_avx2(&self, from: [f64; 2], step: [f64; 2], sums: &mut [f32]) {
-        self.add_blocks(from, step, sums);
+    fn read_blocks_avx2<const N: usize, const LEN: usize>(
+        &self,
+        from: [[f64; 2]; N],
+        step: [f64; 2],
+        count: usize,
+        lines: &mut [[f32; LEN]; N],
+    ) {
+        self.read_blocks(from, step, count, lines);
     }
 
-    /// First all bytes of a block are read, then its places are worked out side by side.
+    /// Of each line first where all bytes are, then all bytes, then all places are worked out side by side.
     #[inline(always)]
-    fn add_blocks(&self, from: [f64; 2], step: [f64; 2], sums: &mut [f32]) {
-        const BLOCK: usize = 16;
+    fn read_blocks<const N: usize, const LEN: usize>(
+        &self,
+        from: [[f64; 2]; N],
+        step: [f64; 2],
+        count: usize,
+        lines: &mut [[f32; LEN]; N],
+    ) {
         let fixed = |v: f64| (v * 65536.0) as i32;
-        let ([mut x, mut y], [dx, dy]) = (from.map(fixed), step.map(fixed));
-        for sums in sums.chunks_mut(BLOCK) {
-            let [mut upper, mut lower] = [[0u16; BLOCK]; 2];
-            let (x0, y0) = (x, y);
-            for i in 0..sums.len() {
-                let at = (y >> 16) as usize * self.stride + (x >> 16) as usize;
-                let two =
-                    |at: usize| self.bytes[at..].first_chunk().map_or(0, |two| u16::from_le_bytes(*two));
-                (upper[i], lower[i]) = (two(at), two(at + self.stride));
-                (x, y) = (x + dx, y + dy);
+        let (stride, [dx, dy]) = (self.stride as i32, step.map(fixed));
+        // All of a block, also where the lines end before.
+        let whole = count.next_multiple_of(BLOCK).min(LEN);
+        for (line, from) in lines.iter_mut().zip(from) {
+            let [x, y] = from.map(fixed);
+            let x = |i: usize| x.wrapping_add(dx.wrapping_mul(i as i32));
+            let y = |i: usize| y.wrapping_add(dy.wrapping_mul(i as i32));
+            let mut at = [0i32; LEN];
+            for (i, at) in at[..whole].iter_mut().enumerate() {
+                *at = (y(i) >> 16).wrapping_mul(stride).wrapping_add(x(i) >> 16);
             }
-            let mut levels = [0.0f32; BLOCK];
-            // All of a block, also where the line ends before.
-            for i in 0..BLOCK {
-                let share = |from: i32, step: i32| from.wrapping_add(step.wrapping_mul(i as i32)) >> 8 & 0xff;
-                let (right, below) = (share(x0, dx), share(y0, dy));
+            let [mut upper, mut lower] = [[0u16; LEN]; 2];
+            for (i, at) in at[..count].iter().enumerate() {
+                let at = *at as usize;
+                let two = |row: &[u8]| row.first_chunk().map_or(0, |two| u16::from_le_bytes(*two));
+                (upper[i], lower[i]) = (two(&self.bytes[at..]), two(&self.bytes[at + self.stride..]));
+            }
+            for (i, level) in line[..whole].iter_mut().enumerate() {
+                let (right, below) = (x(i) >> 8 & 0xff, y(i) >> 8 & 0xff);
                 let row = |two: u16| {
                     let (a, b) = (i32::from(two & 0xff), i32::from(two >> 8));
                     (a << 8) + right * (b - a)
                 };
                 let (upper, lower) = (row(upper[i]), row(lower[i]));
-                levels[i] = ((upper << 8) + below * (lower - upper)) as f32 * (1.0 / 65536.0);
+                *level = ((upper << 8) + below * (lower - upper)) as f32 * (1.0 / 65536.0);
             }
-            sums.iter_mut().zip(levels).for_each(|(sum, level)| *sum += level);
         }
     }
 
     #[inline(always)]
-    fn add_each(
+    fn lines_one_by_one<const N: usize, const LEN: usize>(
         &self,
-        from: [f64; 2],
+        from: [[f64; 2]; N],
         step: [f64; 2],
-        sums: &mut [f32],
+        count: usize,
         level: impl Fn(usize, usize) -> f32,
-    ) {
+    ) -> [[f32; LEN]; N] {
+        let mut lines = [[0.0; LEN]; N];
         let last = [(self.width - 1) as f32, (self.height - 1) as f32];
         // On the last column or row the share of the neighbour before is 0 instead of that of one beyond.
         let (x_max, y_max) = (self.width.saturating_sub(2), self.height.saturating_sub(2));
         let (right, below) = (usize::from(self.width > 1), usize::from(self.height > 1));
-        for (i, sum) in sums.iter_mut().enumerate() {
-            let x = ((from[0] + step[0] * i as f64) as f32).max(0.0).min(last[0]);
-            let y = ((from[1] + step[1] * i as f64) as f32).max(0.0).min(last[1]);
-            let (x0, y0) = ((x as u32 as usize).min(x_max), (y as u32 as usize).min(y_max));
-            let (fx, fy) = (x - x0 as f32, y - y0 as f32);
-            let (a, b) = (level(x0, y0), level(x0 + right, y0));
-            let (c, d) = (level(x0, y0 + below), level(x0 + right, y0 + below));
-            let (upper, lower) = (a + fx * (b - a), c + fx * (d - c));
-            *sum += upper + fy * (lower - upper);
+        for (line, from) in lines.iter_mut().zip(from) {
+            for (i, to) in line[..count].iter_mut().enumerate() {
+                let x = ((from[0] + step[0] * i as f64) as f32).max(0.0).min(last[0]);
+                let y = ((from[1] + step[1] * i as f64) as f32).max(0.0).min(last[1]);
+                let (x0, y0) = ((x as u32 as usize).min(x_max), (y as u32 as usize).min(y_max));
+                let (fx, fy) = (x - x0 as f32, y - y0 as f32);
+                let (a, b) = (level(x0, y0), level(x0 + right, y0));
+                let (c, d) = (level(x0, y0 + below), level(x0 + right, y0 + below));
+                let (upper, lower) = (a + fx * (b - a), c + fx * (d - c));
+                *to = upper + fy * (lower - upper);
+            }
         }
+        lines
     }
 
     /// [`LumaView::sample`] at `N` places, `step` apart, the first at `from`; places are rounded to 1/256 pixel, RGB
@@ -356,22 +415,24 @@ mod tests {
             Frame { bytes: bytes.clone(), format, width: w, height: h, stride_bytes: w, ..Frame::default() };
         let view = LumaView::new(&frame).expect("a whole picture");
         for count in [1, 7, 16, 17, 45] {
-            let [from, to] = [0, 1].map(|_| [random.random_range(0.0..38.9), random.random_range(0.0..28.9)]);
+            let [from, to] = [0, 1].map(|_| [random.random_range(1.0..37.9), random.random_range(1.0..27.9)]);
             let step = [0, 1].map(|axis: usize| (to[axis] - from[axis]) / 45.0);
-            let sums = Level::available().iter().map(|&level| {
-                let mut sums = vec![0.5; count];
-                LumaView { level, ..view }.add_line(from, step, &mut sums);
-                sums
+            let beside = [from[0] + 0.7, from[1] - 0.6];
+            let lines = Level::available().iter().map(|&level| {
+                let lines = LumaView { level, ..view }.lines::<2, 48>([from, beside], step, count);
+                lines.map(|line| line[..count].to_vec())
             });
-            let sums: Vec<_> = sums.collect();
-            assert!(sums.iter().all(|other| *other == sums[0]), "{count} places from {from:?} by {step:?}");
-            for (i, sum) in sums[0].iter().enumerate() {
-                let [x, y] = [0, 1].map(|axis: usize| from[axis] + i as f64 * step[axis]);
-                let (x0, y0) = (x as usize, y as usize);
-                let (right, below) = (x.fract(), y.fract());
-                let row = |y: usize| grey(x0, y) * (1.0 - right) + grey(x0 + 1, y) * right;
-                let level = row(y0) * (1.0 - below) + row(y0 + 1) * below;
-                assert!((f64::from(*sum) - 0.5 - level).abs() < 3.0, "{sum} for {level}");
+            let lines: Vec<_> = lines.collect();
+            assert!(lines.iter().all(|other| *other == lines[0]), "{count} places from {from:?} by {step:?}");
+            for (from, line) in [from, beside].iter().zip(&lines[0]) {
+                for (i, found) in line.iter().enumerate() {
+                    let [x, y] = [0, 1].map(|axis: usize| from[axis] + step[axis] * i as f64);
+                    let (x0, y0) = (x as usize, y as usize);
+                    let (right, below) = (x.fract(), y.fract());
+                    let row = |y: usize| grey(x0, y) * (1.0 - right) + grey(x0 + 1, y) * right;
+                    let level = row(y0) * (1.0 - below) + row(y0 + 1) * below;
+                    assert!((f64::from(*found) - level).abs() < 3.0, "{found} for {level}");
+                }
             }
         }
     }

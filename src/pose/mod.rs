@@ -73,6 +73,7 @@
 mod aim;
 pub mod contact;
 pub mod model;
+mod outlines;
 pub mod over;
 pub mod refine;
 pub mod section;

@@ -10,7 +10,8 @@ use nalgebra::Vector2;
 use crate::frame::LumaView;
 use crate::vision::bits::{BitImage, nearest};
 
-const SAMPLES_MAX: usize = 96;
+/// Most grey values of a line.
+pub(super) const SAMPLES_MAX: usize = 96;
 /// Steps from one outline to the other in which the light between them is added up.
 const SKEW_STEPS: usize = 12;
 /// How far beside a crossing the light of a wire is looked at, in pixels.
@@ -42,11 +43,11 @@ impl Section {
 /// Reads grey profiles of one picture.
 #[derive(Clone, Copy)]
 pub struct Profiler<'a> {
-    luma: LumaView<'a>,
+    pub(super) luma: LumaView<'a>,
     /// +1 for parts brighter than the floor, -1 for darker ones.
     sign: f64,
     /// Grey levels by which wire and background differ at least.
-    contrast_min: f64,
+    pub(super) contrast_min: f64,
 }
 
 impl<'a> Profiler<'a> {
@@ -113,7 +114,8 @@ impl<'a> Profiler<'a> {
         let to_px = |at: f64| (first + at - centre) * scale;
         let (mut low, mut high) = (fall.low.map(|c| to_px(c.at)), fall.high.map(|c| to_px(c.at)));
         if self.dark_parts() {
-            without_shadow(&fall, &mut low, &mut high, 2.0 * half_width_px);
+            let steepness = [fall.low, fall.high].map(|c| c.map_or(0.0, |c| c.steepness));
+            without_shadow(steepness, &mut low, &mut high, 2.0 * half_width_px);
         }
         let (low_px, high_px) = if cos < 0.0 { (high.map(|h| -h), low.map(|l| -l)) } else { (low, high) };
         Some(Section { low_px, high_px })
@@ -129,9 +131,8 @@ impl<'a> Profiler<'a> {
         if !self.inside(middle - reach) || !self.inside(middle + reach) {
             return None;
         }
-        let mut light = [0f32; SKEW_STEPS + 1];
         let step = reach * (2.0 / SKEW_STEPS as f64);
-        self.luma.add_line((middle - reach).into(), step.into(), &mut light);
+        let [light] = self.luma.lines::<1, 16>([(middle - reach).into()], step.into(), SKEW_STEPS + 1);
         let light = light.map(|l| self.sign * f64::from(l));
         let floor = (light[0] + light[SKEW_STEPS]) / 2.0;
         let (mut sum, mut moment) = (0.0, 0.0);
@@ -155,9 +156,8 @@ impl<'a> Profiler<'a> {
         if !self.inside(from) || !self.inside(from + step * (count - 1) as f64) {
             return None;
         }
-        let mut light = [0f32; SAMPLES_MAX];
-        let light = &mut light[..count];
-        self.luma.add_line(from.into(), step.into(), light);
+        let [light] = self.luma.lines::<1, SAMPLES_MAX>([from.into()], step.into(), count);
+        let light = &light[..count];
         let light_at = |range: Range<usize>| light[range].iter().map(|l| self.sign * f64::from(*l));
         let before = (count / 2).checked_sub(near).filter(|before| *before > 0)?;
         let mean = |range: Range<usize>| light_at(range).sum::<f64>() / before as f64;
@@ -175,28 +175,41 @@ impl<'a> Profiler<'a> {
         search_px: f64,
         look: EndLook,
     ) -> Option<f64> {
-        let (samples_per_px, rays): (f64, &[(f64, Side)]) = match look {
-            EndLook::Quick => (1.0, &[(0.0, Side::Middle)]),
-            EndLook::Close => (2.0, &END_RAYS),
+        let samples_per_px = match look {
+            EndLook::Quick => 1.0,
+            EndLook::Close => 2.0,
         };
         let inside_px = (3.0 * half_width_px).max(search_px + 2.0);
         let outside_px = search_px + BEHIND_END_PX + 0.5;
         let count = (((inside_px + outside_px) * samples_per_px) as usize + 1).min(SAMPLES_MAX);
         let beside = Vector2::new(-outward.y, outward.x) * half_width_px;
         let step = outward / samples_per_px;
-        let mut sums = [[0f32; SAMPLES_MAX]; 3];
-        for (ray, side) in rays {
-            let from = end - outward * inside_px + beside * *ray;
-            if !self.inside(from) || !self.inside(from + step * (count - 1) as f64) {
-                return None;
+        let from = |ray: f64| end - outward * inside_px + beside * ray;
+        let is_inside = |ray: f64| {
+            let from = from(ray);
+            self.inside(from) && self.inside(from + step * (count - 1) as f64)
+        };
+        let (rays, [left, middle, right]) = match look {
+            EndLook::Quick if is_inside(0.0) => {
+                let none = [0.0; SAMPLES_MAX];
+                let [middle] = self.luma.lines([from(0.0).into()], step.into(), count);
+                (1.0, [none, middle, none])
             }
-            self.luma.add_line(from.into(), step.into(), &mut sums[*side as usize][..count]);
-        }
+            EndLook::Close if is_inside(END_RAYS[0]) && is_inside(END_RAYS[4]) => {
+                let [a, b, middle, c, d] =
+                    self.luma.lines(END_RAYS.map(|ray| from(ray).into()), step.into(), count);
+                let both = |one: [f32; SAMPLES_MAX], other: [f32; SAMPLES_MAX]| {
+                    std::array::from_fn(|i| one[i] + other[i])
+                };
+                (5.0, [both(a, b), middle, both(c, d)])
+            }
+            _ => return None,
+        };
         let well_inside = ((inside_px - search_px - 1.0).max(1.0) * samples_per_px) as usize;
         let mut profile = [0.0; SAMPLES_MAX];
         let profile = &mut profile[..count];
         for (i, p) in profile.iter_mut().enumerate() {
-            *p = f64::from(sums[0][i] + sums[1][i] + sums[2][i]) * self.sign / rays.len() as f64;
+            *p = f64::from(left[i] + middle[i] + right[i]) * self.sign / rays;
         }
         let level = profile[..well_inside].iter().sum::<f64>() / well_inside as f64;
         let floor = profile[well_inside..].iter().copied().fold(f64::INFINITY, f64::min);
@@ -215,14 +228,13 @@ impl<'a> Profiler<'a> {
             return None;
         }
         if let EndLook::Close = look {
-            let rays_a_side = ((rays.len() - 1) / 2) as f64;
-            let mut ends_at = |side: Side| {
-                for (p, sum) in profile.iter_mut().zip(sums[side as usize]) {
-                    *p = f64::from(sum) * self.sign / rays_a_side;
+            let mut ends_at = |side: &[f32; SAMPLES_MAX]| {
+                for (p, sum) in profile.iter_mut().zip(side) {
+                    *p = f64::from(*sum) * self.sign / 2.0;
                 }
                 fallen_half_way(profile, well_inside, floor)
             };
-            let slant_px = (ends_at(Side::Right)? - ends_at(Side::Left)?).abs() / samples_per_px;
+            let slant_px = (ends_at(&right)? - ends_at(&left)?).abs() / samples_per_px;
             if slant_px > END_SLANT_MAX * END_SIDES_APART * half_width_px {
                 return None;
             }
@@ -240,16 +252,8 @@ pub enum EndLook {
     Close,
 }
 
-#[derive(Clone, Copy, Debug)]
-enum Side {
-    Left,
-    Middle,
-    Right,
-}
-
-/// Where an end is looked at closely, in half widths from the middle.
-const END_RAYS: [(f64, Side); 5] =
-    [(-0.5, Side::Left), (-0.25, Side::Left), (0.0, Side::Middle), (0.25, Side::Right), (0.5, Side::Right)];
+/// Where an end is looked at closely, in half widths from the middle: two lines on each side.
+const END_RAYS: [f64; 5] = [-0.5, -0.25, 0.0, 0.25, 0.5];
 /// How far the middles of both sides of these are apart.
 const END_SIDES_APART: f64 = 0.75;
 /// Tangent of the angle by which an end may seem cut obliquely. Of ends that are nobody else's, 97 in 100 are below 0.42.
@@ -277,17 +281,18 @@ struct Crossing {
 }
 
 /// Takes the shadow off that joins a dark wire on a light floor: where the outlines are farther apart than the wire is
-/// wide, the flatter one is that of the shadow.
-fn without_shadow(fall: &Fall, low_px: &mut Option<f64>, high_px: &mut Option<f64>, width_px: f64) {
-    let (Some(low), Some(high), Some(low_crossing), Some(high_crossing)) =
-        (*low_px, *high_px, fall.low, fall.high)
-    else {
-        return;
-    };
+/// wide, the flatter one, by the steepness of both, is that of the shadow.
+pub(super) fn without_shadow(
+    [low_steepness, high_steepness]: [f64; 2],
+    low_px: &mut Option<f64>,
+    high_px: &mut Option<f64>,
+    width_px: f64,
+) {
+    let (Some(low), Some(high)) = (*low_px, *high_px) else { return };
     if !(width_px..SHADOW_WIDTHS_MAX * width_px).contains(&(high - low)) {
         return;
     }
-    if low_crossing.steepness > high_crossing.steepness {
+    if low_steepness > high_steepness {
         *high_px = Some(low + width_px);
     } else {
         *low_px = Some(high - width_px);

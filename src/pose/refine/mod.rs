@@ -11,6 +11,7 @@
 //! by 0.07 and 0.1 radii.
 
 mod covariance;
+mod ends;
 mod equations;
 mod measure;
 mod params;
@@ -20,12 +21,14 @@ use arrayvec::ArrayVec;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, Vector2, Vector3, Vector6};
 
 use covariance::Origin;
+pub use ends::EndSighting;
 use equations::{Doubt, Equations, MEASUREMENTS_MAX, Measurement, Solution};
 use measure::{measure_ends, measure_outlines};
 pub use params::Params;
 
-use super::aim::{aim, end_is_bare, mask_beyond_px, up};
+use super::aim::{aim, up};
 use super::model::{PoseModel, Station};
+use super::outlines::{LINES, Outlines};
 use super::section::{EndLook, Profiler, Section};
 use super::shading::Shading;
 use super::sweep::{Expected, LANES, Sweep};
@@ -75,25 +78,6 @@ pub struct Sighting {
     gradient: Vector6<f64>,
 }
 
-/// A free end in one picture: how far beyond the expected place it is seen.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct EndSighting {
-    /// In pixels; `None` where something hides it.
-    pub beyond_px: Option<f64>,
-    /// The expected place.
-    pub expected_px: Vector2<f64>,
-    /// Unit vector out of the part.
-    pub outward: Vector2<f64>,
-    /// Length of mask from the expected place outwards where the end is hidden, up to 12.
-    pub mask_beyond_px: f64,
-    half_width_px: f64,
-    /// Standard deviation of what the face of the end is taken for.
-    face_px: f64,
-    /// How far it moves along when the wire is raised by a radius.
-    lift_px: f64,
-    gradient: Vector6<f64>,
-}
-
 /// A refined pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Fit {
@@ -109,6 +93,7 @@ pub struct Fit {
 pub struct Refine {
     params: Params,
     equations: Equations,
+    outlines: Outlines,
     sightings: Vec<[Option<Sighting>; 2]>,
     ends: Vec<[Option<EndSighting>; 2]>,
     /// What the refined pose is measured with.
@@ -122,9 +107,11 @@ impl Refine {
     /// For this rig; reserves all memory.
     pub fn new(params: Params, rig: &Rig) -> Self {
         let right_eye = rig.right_from_left.inverse() * Point3::origin();
+        let level = Level::detect();
         Self {
             params,
-            equations: Equations::new(Level::detect()),
+            equations: Equations::new(level),
+            outlines: Outlines::new(level),
             sightings: Vec::with_capacity(STATIONS_MAX),
             ends: Vec::with_capacity(64),
             observations: Vec::with_capacity(MEASUREMENTS_MAX),
@@ -224,16 +211,15 @@ impl Refine {
         (stride, how): (usize, EndLook),
     ) {
         let sweep = self.sweep(model, pose);
-        let Self { sightings, .. } = self;
+        let Self { sightings, outlines, .. } = self;
         sightings.clear();
         sightings.resize(model.stations.len().min(STATIONS_MAX), [None; 2]);
         let stations = model.stations.iter().take(STATIONS_MAX).step_by(stride);
         each_expected(&sweep, stations, views, |k, side, there| {
             let Expected { px, across, half_width_px, lift_px, gradient } = there;
-            let view = &views[side];
             sightings[k * stride][side] = Some(Sighting {
-                section: view.profiler.across(px, across, half_width_px, search_px),
-                object: view.mask.get(nearest(px.x), nearest(px.y)),
+                section: None,
+                object: views[side].mask.get(nearest(px.x), nearest(px.y)),
                 expected_px: px,
                 across,
                 half_width_px,
@@ -241,48 +227,15 @@ impl Refine {
                 gradient,
             });
         });
-        self.look_at_ends(model, pose, views, search_px + 3.5, how);
-    }
-
-    fn look_at_ends(
-        &mut self,
-        model: &PoseModel,
-        pose: &Isometry3<f64>,
-        views: &[View; 2],
-        search_px: f64,
-        how: EndLook,
-    ) {
-        let centre = pose * model.centre_mm;
-        let Self { ends, params, eye, .. } = self;
-        ends.clear();
-        for end in &model.ends {
-            let (point, outward) = (pose * end.position_mm, pose.rotation * end.outward);
-            let raised = up(eye, &point, &outward) * model.radius_mm;
-            let lean_sin = (*eye - point).normalize().dot(&outward);
-            ends.push([0, 1].map(|side| {
-                let view = &views[side];
-                let faces = view.camera_from_left.inverse_transform_point(&Point3::origin());
-                let sees_face = (faces - point).dot(&outward) > 0.0;
-                let (lift_radii, lift_sigma) = params.end_lift(lean_sin, sees_face);
-                let aim = aim(model.radius_mm, &(point + raised * lift_radii), &outward, view)?;
-                let beyond_px = view
-                    .profiler
-                    .end(aim.px, aim.along, aim.half_width_px, search_px, how)
-                    .filter(|&beyond| end_is_bare(&aim, beyond, &view.profiler))
-                    .map(|beyond| beyond + params.end_reach_radii * aim.half_width_px);
-                let hidden = how == EndLook::Close && beyond_px.is_none();
-                Some(EndSighting {
-                    beyond_px,
-                    expected_px: aim.px,
-                    outward: aim.along,
-                    mask_beyond_px: if hidden { mask_beyond_px(view.mask, &aim) } else { 0.0 },
-                    face_px: lift_sigma * lean_sin * aim.half_width_px,
-                    half_width_px: aim.half_width_px,
-                    lift_px: (aim.jacobian * raised).dot(&aim.along),
-                    gradient: aim.gradient(&aim.along, &(point - centre)),
-                })
-            }));
+        for sightings in sightings.chunks_mut(LINES / 2 * stride) {
+            outlines.clear();
+            for (side, s) in seen(sightings) {
+                outlines.push(side, s.expected_px, s.across, s.half_width_px);
+            }
+            let sections = outlines.sections(profilers(views), search_px);
+            seen(sightings).zip(sections).for_each(|((_, sighting), section)| sighting.section = *section);
         }
+        self.look_at_ends(model, pose, views, search_px + 3.5, how);
     }
 
     /// Sets up the equations from what is seen; gives each measurement and where it comes from to `note`, too.
@@ -361,6 +314,18 @@ impl Refine {
             ..Sighting::default()
         })
     }
+}
+
+/// All of both pictures that are there, with the picture.
+fn seen<T>(of_both: &mut [[Option<T>; 2]]) -> impl Iterator<Item = (usize, &mut T)> {
+    of_both
+        .iter_mut()
+        .flat_map(|both| both.iter_mut().enumerate())
+        .filter_map(|(side, s)| Some((side, s.as_mut()?)))
+}
+
+fn profilers<'a>(views: &'a [View; 2]) -> [&'a Profiler<'a>; 2] {
+    views.each_ref().map(|view| &view.profiler)
 }
 
 /// Gives where each station is expected, where that is in front of the camera: with its number and the picture.
