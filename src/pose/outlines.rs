@@ -7,6 +7,7 @@ use nalgebra::Vector2;
 
 use super::section::{Profiler, SAMPLES_MAX, Section, without_shadow};
 use crate::level::Level;
+use crate::vision::whole::{byte, floor, nearest};
 
 /// Lines that are looked at together: bytes of a 256-bit register.
 pub(super) const LINES: usize = 32;
@@ -163,7 +164,7 @@ impl Outlines {
             let (along_line, beside_line) = if down { (y[l], x[l]) } else { (x[l], y[l]) };
             let line = nearest(beside_line);
             let centre = along_line - (line - beside_line) * sin / cos;
-            let samples = |px: f64, most: f64| whole((px / cos.abs()).max(0.0).min(most));
+            let samples = |px: f64, most: f64| floor((px / cos.abs()).max(0.0).min(most));
             let half = samples(half_width_px[l] + search_px + 4.0, (SAMPLES_MAX / 2 - 2) as f64) + 1.0;
             r.down[l] = down;
             (r.line[l], r.first[l], r.half[l]) = (line, nearest(centre) - half, half);
@@ -227,29 +228,6 @@ struct Falls {
 struct Crossings {
     at: Numbers,
     steepness: Numbers,
-}
-
-/// Added to a whole number from 0 to 2^51, leaves it as the lowest bits.
-const WHOLE: f64 = (1u64 << 52) as f64;
-
-/// A number from 0 to 2^51, rounded down.
-#[inline(always)]
-fn whole(v: f64) -> f64 {
-    let rounded = (v + WHOLE) - WHOLE;
-    if rounded > v { rounded - 1.0 } else { rounded }
-}
-
-/// As [`crate::vision::bits::nearest`], for what may be a pixel.
-#[inline(always)]
-fn nearest(px: f64) -> f64 {
-    const ABOVE_ZERO: f64 = (1 << 20) as f64;
-    whole(px + (ABOVE_ZERO + 0.5)) - ABOVE_ZERO
-}
-
-/// A whole number from 0 to 255.
-#[inline(always)]
-fn byte(whole: f64) -> u8 {
-    (whole + WHOLE).to_bits() as u8
 }
 
 /// See [`super::section::outline`].

@@ -45,6 +45,7 @@ pub(super) struct Expected {
 }
 
 /// [`Expected`] of eight stations.
+#[derive(Clone, Copy)]
 pub(super) struct Eight {
     in_front: [bool; LANES],
     px: [Lanes; 2],
@@ -55,6 +56,18 @@ pub(super) struct Eight {
 }
 
 impl Eight {
+    const NONE: Self = {
+        let zero = Lanes([0.0; LANES]);
+        Self {
+            in_front: [false; LANES],
+            px: [zero; 2],
+            across: [zero; 2],
+            half_width_px: zero,
+            lift_px: zero,
+            gradient: [zero; 6],
+        }
+    };
+
     /// The `lane`-th of them; `None` where the camera does not see it.
     pub(super) fn get(&self, lane: usize) -> Option<Expected> {
         let at = |two: &[Lanes; 2]| Vector2::new(two[0].0[lane], two[1].0[lane]);
@@ -90,8 +103,8 @@ impl Sweep {
         }
     }
 
-    /// Where at most [`LANES`] stations are expected in both pictures.
-    pub(super) fn expect(&self, stations: &[&Station], views: &[View; 2]) -> [Eight; 2] {
+    /// Where at most [`LANES`] stations are expected in these pictures.
+    pub(super) fn expect<const N: usize>(&self, stations: &[&Station], views: &[View; N]) -> [Eight; N] {
         let upright = |camera: &CameraModel| camera.distortion[12] == 0.0 && camera.distortion[13] == 0.0;
         if !views.iter().all(|view| upright(view.camera)) {
             return views.each_ref().map(|view| self.one_by_one(stations, view));
@@ -109,18 +122,18 @@ impl Sweep {
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl")]
-    fn expect_avx512(&self, stations: &[&Station], views: &[View; 2]) -> [Eight; 2] {
+    fn expect_avx512<const N: usize>(&self, stations: &[&Station], views: &[View; N]) -> [Eight; N] {
         self.expect_lanes(stations, views)
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
-    fn expect_avx2(&self, stations: &[&Station], views: &[View; 2]) -> [Eight; 2] {
+    fn expect_avx2<const N: usize>(&self, stations: &[&Station], views: &[View; N]) -> [Eight; N] {
         self.expect_lanes(stations, views)
     }
 
     #[inline(always)]
-    fn expect_lanes(&self, stations: &[&Station], views: &[View; 2]) -> [Eight; 2] {
+    fn expect_lanes<const N: usize>(&self, stations: &[&Station], views: &[View; N]) -> [Eight; N] {
         let (mut position, mut tangent) = ([Lanes::all(0.0); 3], [Lanes::all(0.0); 3]);
         for (lane, station) in stations.iter().enumerate().take(LANES) {
             for k in 0..3 {
@@ -136,8 +149,11 @@ impl Sweep {
         let raised = times(aside, Lanes::all(self.radius_mm) / dot(aside, aside).sqrt().at_least(1e-9));
         let lifted = plus(point, times(raised, Lanes::all(self.lift_radii)));
         let arm = minus(point, splat(&self.centre.coords));
-        let [left, right] = views;
-        [self.in_view(left, lifted, tangent, raised, arm), self.in_view(right, lifted, tangent, raised, arm)]
+        let mut eights = [Eight::NONE; N];
+        for (eight, view) in eights.iter_mut().zip(views) {
+            *eight = self.in_view(view, lifted, tangent, raised, arm);
+        }
+        eights
     }
 
     /// As [`aim`], then its gradient across.
@@ -184,15 +200,7 @@ impl Sweep {
 
     /// The same without lanes: for lenses that lanes do not know, and the twin to test against.
     fn one_by_one(&self, stations: &[&Station], view: &View) -> Eight {
-        let none = Lanes::all(0.0);
-        let mut eight = Eight {
-            in_front: [false; LANES],
-            px: [none; 2],
-            across: [none; 2],
-            half_width_px: none,
-            lift_px: none,
-            gradient: [none; 6],
-        };
+        let mut eight = Eight::NONE;
         for (lane, station) in stations.iter().enumerate() {
             let point = self.left_from_part * station.position_mm;
             let tangent = self.left_from_part.rotation * station.tangent;

@@ -10,3 +10,4 @@ mod lanes;
 pub mod luma;
 pub mod ridge;
 pub mod thin;
+pub(crate) mod whole;

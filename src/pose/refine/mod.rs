@@ -281,14 +281,14 @@ impl Refine {
         Some(solution)
     }
 
-    /// Gives where the axis of the wire is expected at these stations, without looking: the picture (0 left, 1 right),
-    /// the place, and the unit vector across; nothing for what is behind a camera.
-    pub fn expect<'a>(
+    /// Gives where the axis of the wire is expected at these stations, without looking: the index of the view, the place, and
+    /// the unit vector across; nothing for what is behind a camera.
+    pub fn expect<'a, const N: usize>(
         &self,
         model: &PoseModel,
         stations: impl Iterator<Item = &'a Station>,
         pose: &Isometry3<f64>,
-        views: &[View; 2],
+        views: &[View; N],
         mut each: impl FnMut(usize, Vector2<f64>, Vector2<f64>),
     ) {
         let sweep = Sweep::new(self.equations.level(), model, pose, self.eye, 0.0);
@@ -330,10 +330,10 @@ fn profilers<'a>(views: &'a [View; 2]) -> [&'a Profiler<'a>; 2] {
 
 /// Gives where each station is expected, where that is in front of the camera: with its number and the picture.
 #[inline(always)]
-fn each_expected<'a>(
+fn each_expected<'a, const N: usize>(
     sweep: &Sweep,
     stations: impl Iterator<Item = &'a Station>,
-    views: &[View; 2],
+    views: &[View; N],
     mut each: impl FnMut(usize, usize, Expected),
 ) {
     let mut stations = stations.fuse();

@@ -34,6 +34,8 @@ const SAME_ROUGH_MM: [f64; 2] = [2.0, 8.0];
 const SAME_COARSE_MM: [f64; 2] = [1.0, 8.0];
 /// Two coarse poses nearer than this are refined to the same.
 const SAME_START_MM: f64 = 0.5;
+/// Where most of a part is asked whether its wire need be explained again.
+const PROBES_MAX: usize = 8;
 /// Distance in pixels within which an image node is a part's end.
 pub(super) const SAME_END_PX: f64 = 5.0;
 
@@ -385,10 +387,11 @@ impl Explanations {
         let model = &scene.parts[part].pose_model;
         let settled = &self.settled[part];
         let stations = &model.stations;
-        let probes = stations.iter().step_by((stations.len() / 8).max(1));
+        let probes = stations.iter().step_by(stations.len().div_ceil(PROBES_MAX).max(1));
         let (probed, mut claimed) = (probes.len(), 0);
-        self.refine.expect(model, probes, pose, &scene.views, |side, px, across| {
-            claimed += usize::from(side == 0 && settled.is_claimed_at(&px, &across));
+        let left = std::array::from_ref(&scene.views[0]);
+        self.refine.expect(model, probes, pose, left, |_, px, across| {
+            claimed += usize::from(settled.is_claimed_at(&px, &across));
         });
         2 * claimed > probed
     }
