@@ -114,6 +114,7 @@ impl Outlines {
     #[inline(always)]
     fn find(&mut self, profilers: [&Profiler; 2], search_px: f64) {
         let reading = self.reading(search_px);
+        let lanes = self.lanes();
         let (mut is_inside, mut contrast_min, mut count) = ([false; LINES], [NONE; LINES], 0);
         for l in 0..self.count {
             let profiler = profilers[self.side[l]];
@@ -125,7 +126,7 @@ impl Outlines {
         let falls = falls(&self.samples[..count], &reading, &contrast_min);
         let (low, high) = (self.crossings(&falls[0]), self.crossings(&falls[1]));
         let [mut low_px, mut high_px] = [[0.0; LINES]; 2];
-        for l in 0..LINES {
+        for l in 0..lanes {
             let (first, centre, cos) = (reading.first[l], reading.centre[l], reading.cos[l]);
             let to_px = |at: f64| (first + at - centre) * cos.abs();
             (low_px[l], high_px[l]) = (to_px(low.at[l]), to_px(high.at[l]));
@@ -145,6 +146,11 @@ impl Outlines {
         }
     }
 
+    /// So many lanes are worked out that all lines are.
+    fn lanes(&self) -> usize {
+        self.count.next_multiple_of(8).min(LINES)
+    }
+
     #[inline(always)]
     fn reading(&self, search_px: f64) -> Reading {
         let Self { origin: [x, y], across: [across_x, across_y], half_width_px, .. } = self;
@@ -158,7 +164,7 @@ impl Outlines {
             centre: [0.0; LINES],
             cos: [1.0; LINES],
         };
-        for l in 0..LINES {
+        for l in 0..self.lanes() {
             let down = across_x[l].abs() < across_y[l].abs();
             let (cos, sin) = if down { (across_y[l], across_x[l]) } else { (across_x[l], across_y[l]) };
             let (along_line, beside_line) = if down { (y[l], x[l]) } else { (x[l], y[l]) };
@@ -199,13 +205,13 @@ impl Outlines {
     #[inline(always)]
     fn crossings(&self, falls: &Falls) -> Crossings {
         let (mut a, mut b) = ([0.0; LINES], [0.0; LINES]);
-        for l in 0..LINES {
+        for l in 0..self.count {
             // Of lines that do not fall any two samples do.
             let at = |k: u8| f64::from(self.samples[usize::from(k) % SAMPLES_MAX][l]);
             (a[l], b[l]) = (at(falls.above[l]), at(falls.below[l]));
         }
         let mut c = Crossings { at: [0.0; LINES], steepness: [0.0; LINES] };
-        for l in 0..LINES {
+        for l in 0..self.lanes() {
             let (above, below) = (f64::from(falls.above[l]), f64::from(falls.below[l]));
             let level = (f64::from(falls.level[l]) + f64::from(falls.floor[l])) / 2.0;
             c.at[l] = above + (below - above) * (a[l] - level) / (a[l] - b[l]);

@@ -54,7 +54,8 @@ impl UsualWidth {
         if let (Some(ratio), Some((middle, _))) = (section.ratio(half_width_px), section.middle_and_width()) {
             // One outline is off by what the width is, the middle by half of that.
             let odd = ((ratio - self.ratio).abs() - self.spread).max(0.0);
-            return near(middle).then_some((middle, sigma_px.hypot(odd * half_width_px)));
+            let odd_px = odd * half_width_px;
+            return near(middle).then_some((middle, (sigma_px * sigma_px + odd_px * odd_px).sqrt()));
         }
         // Wider than the wire: something touches one side. The side nearer to its expected place is believed.
         let half = half_width_px * self.ratio;
