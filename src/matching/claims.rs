@@ -205,6 +205,7 @@ pub(super) mod tests {
             expected_px: Vector2::new(x, y),
             across: Vector2::from(across).normalize(),
             half_width_px: 3.5,
+            seen_px: Some((0.0, 7.0)),
         }
     }
 

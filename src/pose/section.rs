@@ -121,11 +121,16 @@ impl<'a> Profiler<'a> {
         Some(Section { low_px, high_px })
     }
 
-    /// How far the light of a wire lies beside the middle of its outline, in half widths, along the unit vector
-    /// `across`: nought where the lamp is above it. `None` where no outline is seen.
-    pub fn skew(&self, origin: Vector2<f64>, across: Vector2<f64>, half_width_px: f64) -> Option<f64> {
-        let (middle, width) =
-            self.across(origin, across, half_width_px, 1.0).and_then(|s| s.middle_and_width())?;
+    /// How far the light of a wire lies beside the middle of its outline, in half widths, along the unit vector `across`,
+    /// nought where the lamp is above it; from where that middle is, in pixels from `origin`, and how wide the outline is.
+    /// `None` where it leaves the picture, or shows no light.
+    pub fn skew(
+        &self,
+        origin: Vector2<f64>,
+        across: Vector2<f64>,
+        half_width_px: f64,
+        (middle, width): (f64, f64),
+    ) -> Option<f64> {
         let reach = across * (width / 2.0);
         let middle = origin + across * middle;
         if !self.inside(middle - reach) || !self.inside(middle + reach) {

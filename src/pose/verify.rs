@@ -33,6 +33,8 @@ pub struct PieceSight {
     pub across: Vector2<f64>,
     /// Expected half width.
     pub half_width_px: f64,
+    /// Middle, from where it is expected, and width of what is seen, where both outlines are.
+    pub seen_px: Option<(f64, f64)>,
 }
 
 /// The pictures' verdict on a pose.
@@ -142,6 +144,7 @@ pub fn verify(
                     expected_px: sighting.expected_px,
                     across: sighting.across,
                     half_width_px: sighting.half_width_px,
+                    seen_px: sighting.section.and_then(|section| section.middle_and_width()),
                 };
             }
             match piece[side].sight {

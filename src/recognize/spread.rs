@@ -6,7 +6,7 @@ use super::prepared::Prepared;
 use crate::grasp;
 use crate::pose::model::PoseModel;
 use crate::pose::refine::View;
-use crate::pose::verify::{Sight, Verdict};
+use crate::pose::verify::{PieceSight, Sight, Verdict};
 
 /// Standard deviations of the grasp's position (along the output frame's axes) and the root mean square angle between
 /// the wire's direction there and the true one. `covariance` is that of
@@ -49,9 +49,9 @@ pub(super) fn displaced_by_lamp(
     let mut right_side = Vector2::zeros();
     for piece in verdict.pieces.iter().step_by(SKEW_THICKNESSES * model.per_thickness) {
         for (seen, view) in piece.iter().zip(views).filter(|(seen, _)| seen.sight == Sight::Clear) {
-            let Some(skew) = view.profiler.skew(seen.expected_px, seen.across, seen.half_width_px) else {
-                continue;
-            };
+            let PieceSight { expected_px, across, half_width_px, .. } = *seen;
+            let skew = seen.seen_px.and_then(|px| view.profiler.skew(expected_px, across, half_width_px, px));
+            let Some(skew) = skew else { continue };
             normal += seen.across * seen.across.transpose() + Matrix2::identity() * ALONG_WEIGHT;
             right_side += seen.across * skew;
         }

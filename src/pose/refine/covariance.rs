@@ -7,13 +7,12 @@
 //! to the pose is what the fit makes of errors of just that form, and its square is added. All amplitudes are in radii of the wire, for they come from where the border of
 //! the lit region lies on its round surface.
 
-use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, Vector3};
+use nalgebra::{Matrix3, Matrix6, SMatrix, Vector3};
 
-use super::equations::{Doubt, MEASUREMENTS_MAX, Measurement, START_SIGMA};
+use super::equations::{Doubt, START_SIGMA, Unknowns};
 use super::{FINE_NEXT, Fit, Refine, Shading};
 use crate::pose::model::PoseModel;
 
-type Unknowns = SVector<f64, 8>;
 type Inverse = SMatrix<f64, 8, 8>;
 
 /// Where a measurement comes from, and what it hangs on: the radius of the wire in pixels, and how far in pixels the
@@ -28,7 +27,8 @@ pub(super) enum Origin {
 
 /// A measurement at the refined pose.
 pub(super) struct Observation {
-    measurement: Measurement,
+    /// How it moves with all unknowns.
+    gradient: Unknowns,
     /// What it counts in the normal equations.
     weight: f64,
     origin: Origin,
@@ -37,13 +37,7 @@ pub(super) struct Observation {
 impl Observation {
     /// Adds what an error of `px` here does to the right side of the normal equations.
     fn add_error(&self, px: f64, to: &mut Unknowns) {
-        let weighted = self.weight * px;
-        for (row, g) in self.measurement.gradient.iter().enumerate() {
-            to[row] += g * weighted;
-        }
-        if let Some(side) = self.measurement.shaded {
-            to[6 + side] += weighted;
-        }
+        *to += self.gradient * (self.weight * px);
     }
 }
 
@@ -53,18 +47,16 @@ impl Refine {
     /// the wire.
     pub fn covariance(&mut self, model: &PoseModel, fit: &Fit) -> Matrix6<f64> {
         let pose = &fit.left_from_part;
-        let (search_px, scales_px) = FINE_NEXT;
-        let scale = scales_px[3] / self.params.section_sigma_px;
-        let mut observations = std::mem::take(&mut self.observations);
+        let (_, scales_px) = FINE_NEXT;
+        let Self { observations, origins, params, eye, equations, .. } = self;
+        let scale = scales_px[3] / params.section_sigma_px;
         observations.clear();
-        self.observe_outlines(model, search_px, |measurement, origin| {
-            // As many as the equations have room for.
-            if observations.len() < MEASUREMENTS_MAX {
-                observations.push(Observation { weight: measurement.weight(scale), measurement, origin });
-            }
-        });
-        self.observations = observations;
-        let Self { observations, params, eye, equations, .. } = self;
+        let weighed = equations.weighed(scale).zip(origins.iter());
+        observations.extend(weighed.map(|((gradient, weight), origin)| Observation {
+            gradient,
+            weight,
+            origin: *origin,
+        }));
         let solution = equations.solve(&Doubt {
             scales: &[scale],
             shading_sigma_px: params.shading_sigma_px,
@@ -157,14 +149,8 @@ mod tests {
             straight_mm: Vec::new(),
             straight_along: Some(Vector3::x()),
         };
-        let observation = |gradient, weight: f64, origin| Observation {
-            measurement: Measurement {
-                residual_px: 0.0,
-                gradient,
-                sigma_px: weight.sqrt().recip(),
-                patience: 1.0,
-                shaded: None,
-            },
+        let observation = |gradient: Vector6<f64>, weight, origin| Observation {
+            gradient: gradient.fixed_resize(0.0),
             weight,
             origin,
         };
@@ -186,9 +172,7 @@ mod tests {
         let (model, observations) = seen_from_above(with_ends);
         let mut normal = Inverse::identity() * 0.04;
         for o in &observations {
-            let g = o.measurement.gradient;
-            let mut block = normal.fixed_view_mut::<6, 6>(0, 0);
-            block += g * g.transpose() * o.weight;
+            normal += o.gradient * o.gradient.transpose() * o.weight;
         }
         covariance(shading, &model, &observations, &normal.try_inverse().unwrap(), 1.0, &Vector3::z())
     }

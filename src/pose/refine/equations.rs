@@ -21,7 +21,7 @@ const BELIEVED_MIN: usize = 6;
 pub(super) const START_SIGMA: [f64; 2] = [5.0, 0.2];
 
 type Lanes = [f64; LANES];
-type Unknowns = SVector<f64, UNKNOWNS>;
+pub(super) type Unknowns = SVector<f64, UNKNOWNS>;
 
 /// A distance between what is seen and what is expected.
 pub(super) struct Measurement {
@@ -35,15 +35,6 @@ pub(super) struct Measurement {
     pub(super) patience: f64,
     /// The picture whose shading moves it, if any.
     pub(super) shaded: Option<usize>,
-}
-
-impl Measurement {
-    /// Its weight in the normal equations, where the step is nought and belief has halved at `scale`.
-    pub(super) fn weight(&self, scale: f64) -> f64 {
-        let e = self.residual_px / self.sigma_px;
-        let belief = 1.0 / (1.0 + (e / (scale * self.patience)).powi(2));
-        (belief / self.sigma_px).powi(2)
-    }
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -146,6 +137,29 @@ impl Equations {
         }
         block.by_sigma[lane] = 1.0 / m.sigma_px;
         block.by_patience[lane] = 1.0 / m.patience;
+    }
+
+    /// Takes a step of the pose off what is measured.
+    pub(super) fn step(&mut self, step: &Vector6<f64>) {
+        for Block { residual, gradient, .. } in &mut self.blocks {
+            for (column, step) in gradient.iter().zip(step.iter()) {
+                for (residual, g) in residual.iter_mut().zip(column) {
+                    *residual -= g * step;
+                }
+            }
+        }
+    }
+
+    /// Of each measurement how it moves with all unknowns, and its weight in the normal equations, where the step is nought
+    /// and belief has halved at `scale`.
+    pub(super) fn weighed(&self, scale: f64) -> impl Iterator<Item = (Unknowns, f64)> {
+        (0..self.count).map(move |k| {
+            let (Block { residual, gradient, by_sigma, by_patience }, lane) =
+                (&self.blocks[k / LANES], k % LANES);
+            let e = residual[lane] * by_sigma[lane];
+            let belief = 1.0 / (1.0 + (e / scale * by_patience[lane]).powi(2));
+            (Unknowns::from_fn(|row, _| gradient[row][lane]), (belief * by_sigma[lane]).powi(2))
+        })
     }
 
     /// Solves for the step that explains the measurements, by Gauss-Newton with a Geman-McClure loss, reweighted once

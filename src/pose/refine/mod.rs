@@ -96,6 +96,8 @@ pub struct Refine {
     outlines: Outlines,
     sightings: Vec<[Option<Sighting>; 2]>,
     ends: Vec<[Option<EndSighting>; 2]>,
+    /// Where the measurements of the equations come from.
+    origins: Vec<Origin>,
     /// What the refined pose is measured with.
     observations: Vec<covariance::Observation>,
     /// Seen widths, to take their median.
@@ -114,6 +116,7 @@ impl Refine {
             outlines: Outlines::new(level),
             sightings: Vec::with_capacity(STATIONS_MAX),
             ends: Vec::with_capacity(64),
+            origins: Vec::with_capacity(MEASUREMENTS_MAX),
             observations: Vec::with_capacity(MEASUREMENTS_MAX),
             ratios: Vec::with_capacity(STATIONS_MAX),
             eye: nalgebra::center(&Point3::origin(), &right_eye),
@@ -171,9 +174,10 @@ impl Refine {
         (search_px, scales_px): (f64, [f64; 4]),
     ) -> Option<(Fit, f64)> {
         self.look(model, start, views, search_px, (1, EndLook::Close));
-        self.observe_outlines(model, search_px, |_, _| {});
+        self.observe_outlines(model, search_px);
         let mut left_from_part = *start;
         let Solution { step, misfit, believed, .. } = self.solve(model, &mut left_from_part, &scales_px)?;
+        self.equations.step(&step);
         Some((Fit { left_from_part, misfit, believed }, self.shift(&step)))
     }
 
@@ -238,19 +242,18 @@ impl Refine {
         self.look_at_ends(model, pose, views, search_px + 3.5, how);
     }
 
-    /// Sets up the equations from what is seen; gives each measurement and where it comes from to `note`, too.
-    fn observe_outlines(
-        &mut self,
-        model: &PoseModel,
-        search_px: f64,
-        mut note: impl FnMut(Measurement, Origin),
-    ) {
-        self.equations.clear();
+    /// Sets up the equations from what is seen.
+    fn observe_outlines(&mut self, model: &PoseModel, search_px: f64) {
         let usual = [0, 1].map(|side| self.usual_width(model, side));
-        let Self { equations, sightings, ends, params, .. } = self;
+        let Self { equations, origins, sightings, ends, params, .. } = self;
+        equations.clear();
+        origins.clear();
         let mut each = |measurement: Measurement, origin| {
-            equations.push(&measurement);
-            note(measurement, origin);
+            // As many as the equations have room for.
+            if origins.len() < MEASUREMENTS_MAX {
+                equations.push(&measurement);
+                origins.push(origin);
+            }
         };
         measure_outlines(params, model, sightings, &usual, search_px, &mut each);
         measure_ends(params, ends, &mut each);

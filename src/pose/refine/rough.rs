@@ -57,7 +57,7 @@ impl Refine {
         if !self.shows_end() {
             return None;
         }
-        self.observe_outlines(model, search_px, |_, _| {});
+        self.observe_outlines(model, search_px);
         let mut pose = *start;
         let Solution { misfit, believed, .. } = self.solve(model, &mut pose, &scales_px)?;
         let stations = model.stations.iter().take(STATIONS_MAX).step_by(stride).filter(|s| !s.at_joint);

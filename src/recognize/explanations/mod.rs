@@ -34,8 +34,8 @@ const SAME_ROUGH_MM: [f64; 2] = [2.0, 8.0];
 const SAME_COARSE_MM: [f64; 2] = [1.0, 8.0];
 /// Two coarse poses nearer than this are refined to the same.
 const SAME_START_MM: f64 = 0.5;
-/// Where most of a part is asked whether its wire need be explained again.
-const PROBES_MAX: usize = 8;
+/// At how many places of a part at least it is asked whether its wire need be explained again, if it has as many stations.
+const PROBES_MIN: usize = 8;
 /// Distance in pixels within which an image node is a part's end.
 pub(super) const SAME_END_PX: f64 = 5.0;
 
@@ -387,7 +387,7 @@ impl Explanations {
         let model = &scene.parts[part].pose_model;
         let settled = &self.settled[part];
         let stations = &model.stations;
-        let probes = stations.iter().step_by(stations.len().div_ceil(PROBES_MAX).max(1));
+        let probes = stations.iter().step_by((stations.len() / PROBES_MIN).max(1));
         let (probed, mut claimed) = (probes.len(), 0);
         let left = std::array::from_ref(&scene.views[0]);
         self.refine.expect(model, probes, pose, left, |_, px, across| {
