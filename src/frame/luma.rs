@@ -159,23 +159,27 @@ impl<'a> LumaView<'a> {
     /// picture its border goes on; a NaN coordinate counts as 0. Places in grey pictures are rounded to 1/256 pixel.
     #[inline]
     pub fn sample(&self, x: f32, y: f32) -> f32 {
-        self.lines::<1, 1>([[x.into(), y.into()]], [0.0; 2], 1)[0][0]
+        let mut value = [[0.0]];
+        self.read_lines(&[[x.into(), y.into()]], [0.0; 2], &mut value, 1);
+        value[0][0]
     }
 
-    /// [`LumaView::sample`] at `count` places along each of some lines side by side: the first at `from`, the others `step`
-    /// apart. What is behind them in a line is any number.
+    /// Reads [`LumaView::sample`] at `count` places along each of some lines side by side: the first at `from`, the others
+    /// `step` apart. What stands behind them in a line is any number then.
     ///
     /// # Panics
     /// Where `count` is more than `LEN`.
     #[inline]
-    pub fn lines<const N: usize, const LEN: usize>(
+    pub fn read_lines<const LEN: usize>(
         &self,
-        from: [[f64; 2]; N],
+        from: &[[f64; 2]],
         step: [f64; 2],
+        lines: &mut [[f32; LEN]],
         count: usize,
-    ) -> [[f32; LEN]; N] {
+    ) {
+        assert!(count <= LEN, "{count} places in a line of {LEN}");
         match self.reading {
-            Reading::Weighted(w) => self.lines_one_by_one(from, step, count, |x, y| {
+            Reading::Weighted(w) => self.read_one_by_one(from, step, lines, count, |x, y| {
                 let p = y * self.stride + 3 * x;
                 let p = &self.bytes[p..p + 3];
                 (i32::from(p[0]) * w[0] + i32::from(p[1]) * w[1] + i32::from(p[2]) * w[2]) as f32
@@ -185,18 +189,18 @@ impl<'a> LumaView<'a> {
                 if LEN.is_multiple_of(BLOCK)
                     && from.iter().all(|from| self.is_line_inside(*from, step, count)) =>
             {
-                self.lines_in_blocks(from, step, count)
+                self.read_inside(from, step, lines, count)
             }
-            Reading::Plain { step: bytes } => self.lines_one_by_one(from, step, count, |x, y| {
+            Reading::Plain { step: bytes } => self.read_one_by_one(from, step, lines, count, |x, y| {
                 f32::from(self.bytes[y * self.stride + bytes * x])
             }),
-            Reading::Limited { step: bytes, .. } => self.lines_one_by_one(from, step, count, |x, y| {
+            Reading::Limited { step: bytes, .. } => self.read_one_by_one(from, step, lines, count, |x, y| {
                 // Black is 16 and white 235, as in `Ycbcr`.
                 let luma = f32::from(self.bytes[y * self.stride + bytes * x]);
                 ((luma - 16.0) * (255.0 / 219.0)).clamp(0.0, 255.0)
             }),
             Reading::Ycbcr { .. } => {
-                self.lines_one_by_one(from, step, count, |x, y| f32::from(self.at(x, y)))
+                self.read_one_by_one(from, step, lines, count, |x, y| f32::from(self.at(x, y)))
             }
         }
     }
@@ -213,72 +217,70 @@ impl<'a> LumaView<'a> {
         inside(from) && inside([from[0] + step[0] * last, from[1] + step[1] * last])
     }
 
-    /// [`LumaView::lines`] of a grey picture, all inside; places are rounded to 1/256 pixel.
-    fn lines_in_blocks<const N: usize, const LEN: usize>(
+    /// [`LumaView::read_lines`] of a grey picture, all inside; places are rounded to 1/256 pixel.
+    fn read_inside<const LEN: usize>(
         &self,
-        from: [[f64; 2]; N],
+        from: &[[f64; 2]],
         step: [f64; 2],
+        lines: &mut [[f32; LEN]],
         count: usize,
-    ) -> [[f32; LEN]; N] {
-        let mut lines = [[0.0; LEN]; N];
+    ) {
         match self.level {
             // SAFETY: `Level::detect` names only what the machine has.
             #[cfg(target_arch = "x86_64")]
-            Level::Avx512 => unsafe { self.read_blocks_avx512(from, step, count, &mut lines) },
+            Level::Avx512 => unsafe { self.read_blocks_avx512(from, step, lines, count) },
             // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
-            Level::Avx2 => unsafe { self.read_blocks_avx2(from, step, count, &mut lines) },
-            _ => self.read_blocks(from, step, count, &mut lines),
+            Level::Avx2 => unsafe { self.read_blocks_avx2(from, step, lines, count) },
+            _ => self.read_blocks(from, step, lines, count),
         }
-        lines
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,bmi1,bmi2")]
-    fn read_blocks_avx512<const N: usize, const LEN: usize>(
+    fn read_blocks_avx512<const LEN: usize>(
         &self,
-        from: [[f64; 2]; N],
+        from: &[[f64; 2]],
         step: [f64; 2],
+        lines: &mut [[f32; LEN]],
         count: usize,
-        lines: &mut [[f32; LEN]; N],
     ) {
-        self.read_blocks(from, step, count, lines);
+        self.read_blocks(from, step, lines, count);
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,bmi1,bmi2")]
-    fn read_blocks_avx2<const N: usize, const LEN: usize>(
+    fn read_blocks_avx2<const LEN: usize>(
         &self,
-        from: [[f64; 2]; N],
+        from: &[[f64; 2]],
         step: [f64; 2],
+        lines: &mut [[f32; LEN]],
         count: usize,
-        lines: &mut [[f32; LEN]; N],
     ) {
-        self.read_blocks(from, step, count, lines);
+        self.read_blocks(from, step, lines, count);
     }
 
     /// Of each line first where all bytes are, then all bytes, then all places are worked out side by side.
     #[inline(always)]
-    fn read_blocks<const N: usize, const LEN: usize>(
+    fn read_blocks<const LEN: usize>(
         &self,
-        from: [[f64; 2]; N],
+        from: &[[f64; 2]],
         step: [f64; 2],
+        lines: &mut [[f32; LEN]],
         count: usize,
-        lines: &mut [[f32; LEN]; N],
     ) {
         let fixed = |v: f64| (v * 65536.0) as i32;
         let (stride, [dx, dy]) = (self.stride as i32, step.map(fixed));
         // All of a block, also where the lines end before.
         let whole = count.next_multiple_of(BLOCK).min(LEN);
+        let (mut at, mut upper, mut lower) = ([0i32; LEN], [0u16; LEN], [0u16; LEN]);
         for (line, from) in lines.iter_mut().zip(from) {
             let [x, y] = from.map(fixed);
             let x = |i: usize| x.wrapping_add(dx.wrapping_mul(i as i32));
             let y = |i: usize| y.wrapping_add(dy.wrapping_mul(i as i32));
-            let mut at = [0i32; LEN];
             for (i, at) in at[..whole].iter_mut().enumerate() {
                 *at = (y(i) >> 16).wrapping_mul(stride).wrapping_add(x(i) >> 16);
             }
-            let [mut upper, mut lower] = [[0u16; LEN]; 2];
             for (i, at) in at[..count].iter().enumerate() {
                 let at = *at as usize;
                 let two = |row: &[u8]| row.first_chunk().map_or(0, |two| u16::from_le_bytes(*two));
@@ -297,14 +299,14 @@ impl<'a> LumaView<'a> {
     }
 
     #[inline(always)]
-    fn lines_one_by_one<const N: usize, const LEN: usize>(
+    fn read_one_by_one<const LEN: usize>(
         &self,
-        from: [[f64; 2]; N],
+        from: &[[f64; 2]],
         step: [f64; 2],
+        lines: &mut [[f32; LEN]],
         count: usize,
         level: impl Fn(usize, usize) -> f32,
-    ) -> [[f32; LEN]; N] {
-        let mut lines = [[0.0; LEN]; N];
+    ) {
         let last = [(self.width - 1) as f32, (self.height - 1) as f32];
         // On the last column or row the share of the neighbour before is 0 instead of that of one beyond.
         let (x_max, y_max) = (self.width.saturating_sub(2), self.height.saturating_sub(2));
@@ -321,7 +323,6 @@ impl<'a> LumaView<'a> {
                 *to = upper + fy * (lower - upper);
             }
         }
-        lines
     }
 
     /// [`LumaView::sample`] at `N` places, `step` apart, the first at `from`; places are rounded to 1/256 pixel, RGB
@@ -419,7 +420,8 @@ mod tests {
             let step = [0, 1].map(|axis: usize| (to[axis] - from[axis]) / 45.0);
             let beside = [from[0] + 0.7, from[1] - 0.6];
             let lines = Level::available().iter().map(|&level| {
-                let lines = LumaView { level, ..view }.lines::<2, 48>([from, beside], step, count);
+                let mut lines = [[0.0; 48]; 2];
+                LumaView { level, ..view }.read_lines(&[from, beside], step, &mut lines, count);
                 lines.map(|line| line[..count].to_vec())
             });
             let lines: Vec<_> = lines.collect();

@@ -5,6 +5,7 @@
 
 use std::ops::Range;
 
+use arrayvec::ArrayVec;
 use nalgebra::Vector2;
 
 use crate::frame::LumaView;
@@ -137,8 +138,9 @@ impl<'a> Profiler<'a> {
             return None;
         }
         let step = reach * (2.0 / SKEW_STEPS as f64);
-        let [light] = self.luma.lines::<1, 16>([(middle - reach).into()], step.into(), SKEW_STEPS + 1);
-        let light = light.map(|l| self.sign * f64::from(l));
+        let mut light = [[0f32; 16]];
+        self.luma.read_lines(&[(middle - reach).into()], step.into(), &mut light, SKEW_STEPS + 1);
+        let light = light[0].map(|l| self.sign * f64::from(l));
         let floor = (light[0] + light[SKEW_STEPS]) / 2.0;
         let (mut sum, mut moment) = (0.0, 0.0);
         for (k, light) in light.iter().enumerate().take(SKEW_STEPS).skip(1) {
@@ -161,8 +163,9 @@ impl<'a> Profiler<'a> {
         if !self.inside(from) || !self.inside(from + step * (count - 1) as f64) {
             return None;
         }
-        let [light] = self.luma.lines::<1, SAMPLES_MAX>([from.into()], step.into(), count);
-        let light = &light[..count];
+        let mut light = [[0f32; SAMPLES_MAX]];
+        self.luma.read_lines(&[from.into()], step.into(), &mut light, count);
+        let light = &light[0][..count];
         let light_at = |range: Range<usize>| light[range].iter().map(|l| self.sign * f64::from(*l));
         let before = (count / 2).checked_sub(near).filter(|before| *before > 0)?;
         let mean = |range: Range<usize>| light_at(range).sum::<f64>() / before as f64;
@@ -189,32 +192,29 @@ impl<'a> Profiler<'a> {
         let count = (((inside_px + outside_px) * samples_per_px) as usize + 1).min(SAMPLES_MAX);
         let beside = Vector2::new(-outward.y, outward.x) * half_width_px;
         let step = outward / samples_per_px;
-        let from = |ray: f64| end - outward * inside_px + beside * ray;
-        let is_inside = |ray: f64| {
-            let from = from(ray);
+        let beside_px: &[f64] = match look {
+            EndLook::Quick => &[0.0],
+            EndLook::Close => &END_RAYS,
+        };
+        let from: ArrayVec<[f64; 2], 5> =
+            beside_px.iter().map(|ray| (end - outward * inside_px + beside * *ray).into()).collect();
+        let is_inside = |from: &[f64; 2]| {
+            let from = Vector2::from(*from);
             self.inside(from) && self.inside(from + step * (count - 1) as f64)
         };
-        let (rays, [left, middle, right]) = match look {
-            EndLook::Quick if is_inside(0.0) => {
-                let none = [0.0; SAMPLES_MAX];
-                let [middle] = self.luma.lines([from(0.0).into()], step.into(), count);
-                (1.0, [none, middle, none])
-            }
-            EndLook::Close if is_inside(END_RAYS[0]) && is_inside(END_RAYS[4]) => {
-                let [a, b, middle, c, d] =
-                    self.luma.lines(END_RAYS.map(|ray| from(ray).into()), step.into(), count);
-                let both = |one: [f32; SAMPLES_MAX], other: [f32; SAMPLES_MAX]| {
-                    std::array::from_fn(|i| one[i] + other[i])
-                };
-                (5.0, [both(a, b), middle, both(c, d)])
-            }
-            _ => return None,
-        };
+        if !(is_inside(&from[0]) && is_inside(&from[from.len() - 1])) {
+            return None;
+        }
+        let mut rays = [[0f32; SAMPLES_MAX]; END_RAYS.len()];
+        self.luma.read_lines(&from, step.into(), &mut rays, count);
+        let light = |light: f32| f64::from(light) * self.sign;
         let well_inside = ((inside_px - search_px - 1.0).max(1.0) * samples_per_px) as usize;
         let mut profile = [0.0; SAMPLES_MAX];
         let profile = &mut profile[..count];
+        // Of one line the others are dark.
+        let [a, b, middle, c, d] = &rays;
         for (i, p) in profile.iter_mut().enumerate() {
-            *p = f64::from(left[i] + middle[i] + right[i]) * self.sign / rays;
+            *p = light((a[i] + b[i]) + middle[i] + (c[i] + d[i])) / from.len() as f64;
         }
         let level = profile[..well_inside].iter().sum::<f64>() / well_inside as f64;
         let floor = profile[well_inside..].iter().copied().fold(f64::INFINITY, f64::min);
@@ -233,13 +233,13 @@ impl<'a> Profiler<'a> {
             return None;
         }
         if let EndLook::Close = look {
-            let mut ends_at = |side: &[f32; SAMPLES_MAX]| {
-                for (p, sum) in profile.iter_mut().zip(side) {
-                    *p = f64::from(*sum) * self.sign / 2.0;
+            let mut ends_at = |one: &[f32], other: &[f32]| {
+                for (i, p) in profile.iter_mut().enumerate() {
+                    *p = light(one[i] + other[i]) / 2.0;
                 }
                 fallen_half_way(profile, well_inside, floor)
             };
-            let slant_px = (ends_at(&right)? - ends_at(&left)?).abs() / samples_per_px;
+            let slant_px = (ends_at(c, d)? - ends_at(a, b)?).abs() / samples_per_px;
             if slant_px > END_SLANT_MAX * END_SIDES_APART * half_width_px {
                 return None;
             }

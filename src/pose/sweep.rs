@@ -56,7 +56,8 @@ pub(super) struct Eight {
 }
 
 impl Eight {
-    const NONE: Self = {
+    /// Nothing is expected.
+    pub(super) const NONE: Self = {
         let zero = Lanes([0.0; LANES]);
         Self {
             in_front: [false; LANES],
@@ -103,37 +104,60 @@ impl Sweep {
         }
     }
 
-    /// Where at most [`LANES`] stations are expected in these pictures.
-    pub(super) fn expect<const N: usize>(&self, stations: &[&Station], views: &[View; N]) -> [Eight; N] {
+    /// Works out where at most [`LANES`] stations are expected in these pictures.
+    pub(super) fn expect<const N: usize>(
+        &self,
+        stations: &[&Station],
+        views: &[View; N],
+        expected: &mut [Eight; N],
+    ) {
         let upright = |camera: &CameraModel| camera.distortion[12] == 0.0 && camera.distortion[13] == 0.0;
         if !views.iter().all(|view| upright(view.camera)) {
-            return views.each_ref().map(|view| self.one_by_one(stations, view));
+            for (eight, view) in expected.iter_mut().zip(views) {
+                *eight = self.one_by_one(stations, view);
+            }
+            return;
         }
         match self.level {
             // SAFETY: `Level::detect` and `Level::available` name only levels that the machine has.
             #[cfg(target_arch = "x86_64")]
-            Level::Avx512 => unsafe { self.expect_avx512(stations, views) },
+            Level::Avx512 => unsafe { self.expect_avx512(stations, views, expected) },
             // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
-            Level::Avx2 => unsafe { self.expect_avx2(stations, views) },
-            _ => self.expect_lanes(stations, views),
+            Level::Avx2 => unsafe { self.expect_avx2(stations, views, expected) },
+            _ => self.expect_lanes(stations, views, expected),
         }
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl")]
-    fn expect_avx512<const N: usize>(&self, stations: &[&Station], views: &[View; N]) -> [Eight; N] {
-        self.expect_lanes(stations, views)
+    fn expect_avx512<const N: usize>(
+        &self,
+        stations: &[&Station],
+        views: &[View; N],
+        expected: &mut [Eight; N],
+    ) {
+        self.expect_lanes(stations, views, expected);
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
-    fn expect_avx2<const N: usize>(&self, stations: &[&Station], views: &[View; N]) -> [Eight; N] {
-        self.expect_lanes(stations, views)
+    fn expect_avx2<const N: usize>(
+        &self,
+        stations: &[&Station],
+        views: &[View; N],
+        expected: &mut [Eight; N],
+    ) {
+        self.expect_lanes(stations, views, expected);
     }
 
     #[inline(always)]
-    fn expect_lanes<const N: usize>(&self, stations: &[&Station], views: &[View; N]) -> [Eight; N] {
+    fn expect_lanes<const N: usize>(
+        &self,
+        stations: &[&Station],
+        views: &[View; N],
+        expected: &mut [Eight; N],
+    ) {
         let (mut position, mut tangent) = ([Lanes::all(0.0); 3], [Lanes::all(0.0); 3]);
         for (lane, station) in stations.iter().enumerate().take(LANES) {
             for k in 0..3 {
@@ -149,11 +173,9 @@ impl Sweep {
         let raised = times(aside, Lanes::all(self.radius_mm) / dot(aside, aside).sqrt().at_least(1e-9));
         let lifted = plus(point, times(raised, Lanes::all(self.lift_radii)));
         let arm = minus(point, splat(&self.centre.coords));
-        let mut eights = [Eight::NONE; N];
-        for (eight, view) in eights.iter_mut().zip(views) {
-            *eight = self.in_view(view, lifted, tangent, raised, arm);
+        for (eight, view) in expected.iter_mut().zip(views) {
+            self.in_view(view, lifted, tangent, raised, arm, eight);
         }
-        eights
     }
 
     /// As [`aim`], then its gradient across.
@@ -165,7 +187,8 @@ impl Sweep {
         tangent: [Lanes; 3],
         raised: [Lanes; 3],
         arm: [Lanes; 3],
-    ) -> Eight {
+        eight: &mut Eight,
+    ) {
         let at = turned(&view.rotation, lifted, &view.camera_from_left.translation.vector);
         let (zero, by_z) = (Lanes::all(0.0), Lanes::all(1.0) / at[2]);
         let norm = [at[0] * by_z, at[1] * by_z];
@@ -184,18 +207,13 @@ impl Sweep {
             arm[2] * force[0] - arm[0] * force[2],
             arm[0] * force[1] - arm[1] * force[0],
         ];
-        let mut in_front = [false; LANES];
-        for (lane, in_front) in in_front.iter_mut().enumerate() {
+        for (lane, in_front) in eight.in_front.iter_mut().enumerate() {
             *in_front = at[2].0[lane] > 1e-9 && length.0[lane] >= 1e-6;
         }
-        Eight {
-            in_front,
-            px,
-            across,
-            half_width_px: dot(force, force).sqrt() * Lanes::all(self.radius_mm),
-            lift_px: dot(force, raised),
-            gradient: [force[0], force[1], force[2], torque[0], torque[1], torque[2]],
-        }
+        (eight.px, eight.across) = (px, across);
+        eight.half_width_px = dot(force, force).sqrt() * Lanes::all(self.radius_mm);
+        eight.lift_px = dot(force, raised);
+        eight.gradient = [force[0], force[1], force[2], torque[0], torque[1], torque[2]];
     }
 
     /// The same without lanes: for lenses that lanes do not know, and the twin to test against.
@@ -388,7 +406,8 @@ mod tests {
         let stations: Vec<&Station> = model.stations.iter().collect();
         let mut all = Vec::new();
         for eight in stations.chunks(LANES) {
-            let fast = sweep.expect(eight, views);
+            let mut fast = [Eight::NONE; 2];
+            sweep.expect(eight, views, &mut fast);
             for lane in 0..eight.len() {
                 let slow = [0, 1].map(|side: usize| sweep.one_by_one(eight, &views[side]).get(lane));
                 let fast = [0, 1].map(|side: usize| fast[side].get(lane));
@@ -435,7 +454,8 @@ mod tests {
             let model = PoseModel::new(&rod.unwrap());
             let behind = Isometry3::translation(0.0, 0.0, -100.0);
             let sweep = Sweep::new(Level::detect(), &model, &behind, Point3::origin(), 0.36);
-            let seen = sweep.expect(&[&model.stations[0]], views);
+            let mut seen = [Eight::NONE; 2];
+            sweep.expect(&[&model.stations[0]], views, &mut seen);
             assert!(seen.iter().all(|eight| eight.get(0).is_none() && eight.get(7).is_none()));
         });
     }

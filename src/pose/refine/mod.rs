@@ -31,7 +31,7 @@ use super::model::{PoseModel, Station};
 use super::outlines::{LINES, Outlines};
 use super::section::{EndLook, Profiler, Section};
 use super::shading::Shading;
-use super::sweep::{Expected, LANES, Sweep};
+use super::sweep::{Eight, Expected, LANES, Sweep};
 use super::width::UsualWidth;
 use crate::level::Level;
 use crate::rig::{CameraModel, Rig};
@@ -341,12 +341,13 @@ fn each_expected<'a, const N: usize>(
 ) {
     let mut stations = stations.fuse();
     let mut first = 0;
+    let mut expected = [Eight::NONE; N];
     loop {
         let eight: ArrayVec<&Station, LANES> = stations.by_ref().take(LANES).collect();
         if eight.is_empty() {
             return;
         }
-        let expected = sweep.expect(&eight, views);
+        sweep.expect(&eight, views, &mut expected);
         for lane in 0..eight.len() {
             for (side, expected) in expected.iter().enumerate() {
                 if let Some(there) = expected.get(lane) {
