@@ -22,36 +22,48 @@ const STRAIGHT_PX: f64 = 0.5;
 const STRAIGHT_COS: f64 = 0.998_8;
 /// Pieces of one bar lie nearer to each other than this many half widths.
 const NEXT_HALF_WIDTHS: f64 = 3.0;
-/// Rows that are worked out together.
-const ROWS_AT_ONCE: usize = 8;
-/// Cells that are cleared together.
-const RUN_CELLS: usize = 16;
+/// Rows and columns of cells that are cleared together; as many rows are worked out together.
+const TILE_ROWS: usize = 8;
+const TILE_COLUMNS: usize = 16;
 
 /// Which stretches of wire are claimed in one picture.
 #[derive(Clone, Debug)]
 pub struct ClaimMap {
     columns: usize,
     rows: usize,
-    /// A bit for each direction in which wire is claimed.
+    /// Tiles side by side.
+    tiles_across: usize,
+    /// A bit for each direction in which wire is claimed, row by row, each as long as its tiles.
     cells: Vec<u32>,
-    /// A bit for each run of cells in which one was claimed.
-    claimed_runs: Vec<u64>,
+    /// A bit for each tile in which one was claimed.
+    claimed_tiles: Vec<u64>,
 }
 
 impl ClaimMap {
     /// For pictures of this size.
     pub fn new(width: usize, height: usize) -> Self {
         let [columns, rows] = [width, height].map(|px| (px as f64 / CELL_PX) as usize + 1);
-        let runs = (columns * rows).div_ceil(RUN_CELLS);
-        Self { columns, rows, cells: vec![0; runs * RUN_CELLS], claimed_runs: vec![0; runs.div_ceil(64)] }
+        let (tiles_across, tiles_down) = (columns.div_ceil(TILE_COLUMNS), rows.div_ceil(TILE_ROWS));
+        Self {
+            columns,
+            rows,
+            tiles_across,
+            cells: vec![0; tiles_across * TILE_COLUMNS * tiles_down * TILE_ROWS],
+            claimed_tiles: vec![0; (tiles_across * tiles_down).div_ceil(64)],
+        }
     }
 
     /// Nothing is claimed.
     pub fn clear(&mut self) {
-        for (k, claimed) in self.claimed_runs.iter_mut().enumerate() {
+        let stride = self.tiles_across * TILE_COLUMNS;
+        for (k, claimed) in self.claimed_tiles.iter_mut().enumerate() {
             while *claimed != 0 {
-                let run = 64 * k + claimed.trailing_zeros() as usize;
-                self.cells[run * RUN_CELLS..][..RUN_CELLS].fill(0);
+                let tile = 64 * k + claimed.trailing_zeros() as usize;
+                let first = tile / self.tiles_across * TILE_ROWS * stride;
+                let first = first + tile % self.tiles_across * TILE_COLUMNS;
+                for row in self.cells[first..].chunks_mut(stride).take(TILE_ROWS) {
+                    row[..TILE_COLUMNS].fill(0);
+                }
                 *claimed &= *claimed - 1;
             }
         }
@@ -85,24 +97,28 @@ impl ClaimMap {
         // In each row the bar is what lies between both its sides and between both its ends.
         let sides = Strip::new(along.y, -along.x, reach);
         let ends = Strip::new(along.x, along.y, half_length);
-        for first in (top..=bottom).step_by(ROWS_AT_ONCE) {
-            let (mut from, mut to) = ([0.0; ROWS_AT_ONCE], [0.0; ROWS_AT_ONCE]);
-            for (k, (from, to)) in from.iter_mut().zip(&mut to).enumerate() {
+        for tile_row in top / TILE_ROWS..=bottom / TILE_ROWS {
+            let first = tile_row * TILE_ROWS;
+            let (mut from, mut end) = ([0.0; TILE_ROWS], [0.0; TILE_ROWS]);
+            for k in 0..TILE_ROWS {
                 let down = (first + k) as f64 - middle.y;
                 let ([side_a, side_b], [end_a, end_b]) = (sides.at(down), ends.at(down));
-                *from = ceil((middle.x + side_a.max(end_a)).max(0.0));
-                // From the column before the first on, which stands for none.
-                *to = floor((middle.x + side_b.min(end_b) + 1.0).max(0.0).min(self.columns as f64));
+                from[k] = ceil((middle.x + side_a.max(end_a)).max(0.0));
+                end[k] = floor((middle.x + side_b.min(end_b) + 1.0).max(0.0).min(self.columns as f64));
             }
-            for (row, (from, to)) in (first..=bottom).zip(from.into_iter().zip(to)) {
-                if from >= to {
-                    continue;
+            let (mut leftmost, mut rightmost) = (self.columns, 0);
+            for row in first.max(top)..=bottom.min(first + TILE_ROWS - 1) {
+                let [from, end] = [from, end].map(|columns| columns[row - first] as u32 as usize);
+                if from < end {
+                    let row = &mut self.cells[row * self.tiles_across * TILE_COLUMNS..];
+                    row[from..end].iter_mut().for_each(|cell| *cell |= direction);
+                    (leftmost, rightmost) = (leftmost.min(from), rightmost.max(end - 1));
                 }
-                let [from, end] = [from, to].map(|column| row * self.columns + column as u32 as usize);
-                self.cells[from..end].iter_mut().for_each(|cell| *cell |= direction);
-                for run in from / RUN_CELLS..=(end - 1) / RUN_CELLS {
-                    self.claimed_runs[run / 64] |= 1 << (run % 64);
-                }
+            }
+            // None where nothing of the bar lies in the picture.
+            for column in leftmost / TILE_COLUMNS..=rightmost / TILE_COLUMNS {
+                let tile = tile_row * self.tiles_across + column;
+                self.claimed_tiles[tile / 64] |= 1 << (tile % 64);
             }
         }
     }
@@ -111,7 +127,11 @@ impl ClaimMap {
     fn at(&self, px: &Vector2<f64>) -> u32 {
         let [column, row] = [px.x, px.y].map(|px| nearest(px / CELL_PX) as usize);
         // What is negative is large then.
-        if column < self.columns && row < self.rows { self.cells[row * self.columns + column] } else { 0 }
+        if column < self.columns && row < self.rows {
+            self.cells[row * self.tiles_across * TILE_COLUMNS + column]
+        } else {
+            0
+        }
     }
 
     /// Whether the middle of a piece lies on claimed wire of the same direction.
