@@ -9,7 +9,8 @@ use crate::vision::bits::nearest;
 use crate::vision::whole::{ceil, floor};
 
 /// Side of a cell, in pixels.
-const CELL_PX: f64 = 3.0;
+const CELL: usize = 3;
+const CELL_PX: f64 = CELL as f64;
 /// Directions told apart in a cell, over half a turn.
 const DIRECTIONS: i32 = 32;
 /// Claims of directions nearer than this many steps are the same wire.
@@ -125,8 +126,11 @@ impl ClaimMap {
 
     /// Directions in which wire is claimed at a place, a bit each.
     fn at(&self, px: &Vector2<f64>) -> u32 {
-        let [column, row] = [px.x, px.y].map(|px| nearest(px / CELL_PX) as usize);
         // What is negative is large then.
+        self.in_cell([px.x, px.y].map(|px| nearest(px / CELL_PX) as usize))
+    }
+
+    fn in_cell(&self, [column, row]: [usize; 2]) -> u32 {
         if column < self.columns && row < self.rows {
             self.cells[row * self.tiles_across * TILE_COLUMNS + column]
         } else {
@@ -139,9 +143,10 @@ impl ClaimMap {
         self.is_claimed_at(&piece.expected_px, &piece.across)
     }
 
-    /// Whether a place lies on claimed wire.
-    pub fn is_claimed_by_any(&self, px: &Vector2<f64>) -> bool {
-        self.at(px) != 0
+    /// Whether a pixel, column and row, lies on claimed wire.
+    pub fn is_claimed_by_any(&self, [x, y]: [u16; 2]) -> bool {
+        // The nearest cell: a pixel more, rounded down.
+        self.in_cell([x, y].map(|px| (usize::from(px) + CELL / 2) / CELL)) != 0
     }
 
     /// Whether a place lies on claimed wire of the direction that `across` is at right angles to.
@@ -238,7 +243,7 @@ pub(super) mod tests {
         claims.claim([&upright]);
         assert!(claims.is_claimed(&level) && claims.is_claimed(&upright));
         claims.clear();
-        assert!(!claims.is_claimed(&level) && !claims.is_claimed_by_any(&Vector2::new(50.0, 50.0)));
+        assert!(!claims.is_claimed(&level) && !claims.is_claimed_by_any([50, 50]));
     }
 
     proptest! {
@@ -265,7 +270,7 @@ pub(super) mod tests {
         fn what_is_farther_than_a_cell_from_wire_is_not_claimed(
             (x, y) in (-20.0..220.0, -20.0..220.0), angle in 0.0..TAU, bend in -0.02..0.02,
             half_width_px in 0.5..12.0, count in 1usize..20,
-            (probe_x, probe_y) in (0.0f64..199.0, 0.0f64..199.0),
+            pixel in [0u16..200, 0u16..200],
         ) {
             let (mut place, mut angle) = (Vector2::new(x, y), angle);
             let mut wire = Vec::new();
@@ -277,7 +282,7 @@ pub(super) mod tests {
             }
             let mut claims = ClaimMap::new(200, 200);
             claims.claim(&wire);
-            let probe = Vector2::new(probe_x, probe_y);
+            let probe = Vector2::from(pixel.map(f64::from));
             let is_far = |piece: &PieceSight| {
                 let from = probe - piece.expected_px;
                 // The diagonal of a cell, and what a bar may lie beside bent wire.
@@ -285,7 +290,8 @@ pub(super) mod tests {
                 from.dot(&piece.across).abs() > CLAIMED_WIDTH * half_width_px + away_px
                     || from.perp(&piece.across).abs() > half_width_px + away_px
             };
-            prop_assert!(!wire.iter().all(is_far) || !claims.is_claimed_by_any(&probe));
+            prop_assert!(!wire.iter().all(is_far) || !claims.is_claimed_by_any(pixel));
+            prop_assert_eq!(claims.is_claimed_by_any(pixel), claims.at(&probe) != 0);
         }
     }
 

@@ -17,7 +17,7 @@ pub(super) fn unexplained_px(
     let margin_px = (MARGIN_HALF_WIDTHS * half_px) as usize;
     let mut count = 0u32;
     for &[x, y] in &picture.graph().points {
-        if !claims.is_claimed_by_any(&Vector2::new(x.into(), y.into())) {
+        if !claims.is_claimed_by_any([x, y]) {
             count += 1;
             if !count.is_multiple_of(AREA_STRIDE) {
                 continue;

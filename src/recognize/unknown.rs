@@ -48,7 +48,8 @@ impl Unknown {
         for side in 0..2 {
             let unknown_px = &mut self.left_and_right_px[side];
             unknown_px.clear();
-            unknown_px.extend(skeleton(&pictures[side]).filter(|px| !claims[side].is_claimed_by_any(px)));
+            let points = pictures[side].graph().points.iter();
+            unknown_px.extend(points.filter(|&&point| !claims[side].is_claimed_by_any(point)).map(place));
         }
     }
 
@@ -65,7 +66,11 @@ impl Unknown {
 }
 
 fn skeleton(picture: &Picture) -> impl Iterator<Item = Vector2<f64>> {
-    picture.graph().points.iter().map(|point| Vector2::from(point.map(f64::from)))
+    picture.graph().points.iter().map(place)
+}
+
+fn place(point: &[u16; 2]) -> Vector2<f64> {
+    Vector2::from(point.map(f64::from))
 }
 
 impl Taken<'_> {
