@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`model`] | a part as stations along its wire |
 //! | [`section`] | where its outline is, read across and along the wire |
+//! | [`gloss`] | how far down its light the outline of polished wire is |
 //! | [`refine`] | the pose that agrees best with all of them, and how sure it is |
 //! | [`shading`], [`width`] | what light does to outlines, and what of it can be told from the part's own width |
 //! | [`verify`] | what speaks for a pose and what against |
@@ -72,6 +73,7 @@
 
 mod aim;
 pub mod contact;
+pub mod gloss;
 pub mod model;
 mod outlines;
 pub mod over;

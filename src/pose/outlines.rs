@@ -115,15 +115,17 @@ impl Outlines {
     fn find(&mut self, profilers: [&Profiler; 2], search_px: f64) {
         let reading = self.reading(search_px);
         let lanes = self.lanes();
-        let (mut is_inside, mut contrast_min, mut count) = ([false; LINES], [NONE; LINES], 0);
+        let (mut is_inside, mut count) = ([false; LINES], 0);
+        let (mut contrast_min, mut outline_256) = ([NONE; LINES], [0; LINES]);
         for l in 0..self.count {
             let profiler = profilers[self.side[l]];
             contrast_min[l] = profiler.contrast_min.ceil() as u8;
+            outline_256[l] = profiler.outline_256;
             let samples = self.read(profiler, &reading, l);
             is_inside[l] = samples > 0;
             count = count.max(samples);
         }
-        let falls = falls(&self.samples[..count], &reading, &contrast_min);
+        let falls = falls(&self.samples[..count], &reading, &contrast_min, &outline_256);
         let (low, high) = (self.crossings(&falls[0]), self.crossings(&falls[1]));
         let [mut low_px, mut high_px] = [[0.0; LINES]; 2];
         for l in 0..lanes {
@@ -213,7 +215,7 @@ impl Outlines {
         let mut c = Crossings { at: [0.0; LINES], steepness: [0.0; LINES] };
         for l in 0..self.lanes() {
             let (above, below) = (f64::from(falls.above[l]), f64::from(falls.below[l]));
-            let level = (f64::from(falls.level[l]) + f64::from(falls.floor[l])) / 2.0;
+            let level = f64::from(falls.at_256[l]) / 256.0;
             c.at[l] = above + (below - above) * (a[l] - level) / (a[l] - b[l]);
             c.steepness[l] = a[l] - b[l];
         }
@@ -223,8 +225,8 @@ impl Outlines {
 
 /// Where lines have fallen half the way on one side of their peaks.
 struct Falls {
-    level: Bytes,
-    floor: Bytes,
+    /// In 1/256 of a grey level.
+    at_256: [u16; LINES],
     /// The last sample above and the first at or below; [`NONE`] where it does not fall.
     above: Bytes,
     below: Bytes,
@@ -238,7 +240,7 @@ struct Crossings {
 
 /// See [`super::section::outline`].
 #[inline(always)]
-fn falls(samples: &[Bytes], reading: &Reading, contrast_min: &Bytes) -> [Falls; 2] {
+fn falls(samples: &[Bytes], reading: &Reading, contrast_min: &Bytes, outline_256: &Bytes) -> [Falls; 2] {
     let [mut from, mut to, mut last, mut span] = [[0u8; LINES]; 4];
     for l in 0..LINES {
         let (half, window) = (reading.half[l], reading.window[l]);
@@ -266,11 +268,13 @@ fn falls(samples: &[Bytes], reading: &Reading, contrast_min: &Bytes) -> [Falls; 
             high_floor[l] = if is_high { row[l].min(high_floor[l]) } else { high_floor[l] };
         }
     }
-    // What is twice a sample is at or below a sum where the sample is at or below half of it, rounded down.
-    let half_way = |a: u8, b: u8| (a & b) + ((a ^ b) >> 1);
-    let [mut low_at, mut high_at] = [[0u8; LINES]; 2];
+    // A sample is at or below a level where it is at or below that rounded down.
+    let ([mut low_256, mut high_256], [mut low_at, mut high_at]) = ([[0u16; LINES]; 2], [[0u8; LINES]; 2]);
     for l in 0..LINES {
-        (low_at[l], high_at[l]) = (half_way(level[l], low_floor[l]), half_way(level[l], high_floor[l]));
+        let at_256 =
+            |floor: u8| (u16::from(floor) << 8) + u16::from(level[l] - floor) * u16::from(outline_256[l]);
+        (low_256[l], high_256[l]) = (at_256(low_floor[l]), at_256(high_floor[l]));
+        (low_at[l], high_at[l]) = ((low_256[l] >> 8) as u8, (high_256[l] >> 8) as u8);
     }
     let (mut low, mut high) = ([NONE; LINES], [NONE; LINES]);
     for (s, row) in (0u8..).zip(samples) {
@@ -288,8 +292,8 @@ fn falls(samples: &[Bytes], reading: &Reading, contrast_min: &Bytes) -> [Falls; 
         (above_low[l], above_high[l]) = (low[l].wrapping_add(1), high[l].wrapping_sub(1));
     }
     [
-        Falls { level, floor: low_floor, above: above_low, below: low },
-        Falls { level, floor: high_floor, above: above_high, below: high },
+        Falls { at_256: low_256, above: above_low, below: low },
+        Falls { at_256: high_256, above: above_high, below: high },
     ]
 }
 
@@ -333,8 +337,11 @@ mod tests {
                 Frame::from_grey(w, h, grey)
             };
             let luma = LumaView::new(&frame).unwrap();
-            let profilers =
-                [Profiler::new(luma, dark, 12.0), Profiler::new(luma, !dark, [0.0, 7.5, 40.2][case % 3])];
+            let contrast_min = [0.0, 7.5, 40.2][case % 3];
+            let profilers = [
+                Profiler::new(luma, dark, 12.0),
+                Profiler::new(luma, !dark, contrast_min).with_outlines_at([128, 64, 250, 1][case % 4]),
+            ];
             let search_px = [1.0, 1.5, 2.5, 7.0][case % 4];
             for &level in Level::available() {
                 let mut outlines = Outlines::new(level);

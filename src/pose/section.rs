@@ -1,7 +1,7 @@
 //! Where a wire lies across a line in the picture, to a fraction of a pixel.
 //!
 //! A profile of grey values across the wire falls from the wire's level to the background's on both sides; the
-//! outline is taken where it has fallen half the way.
+//! outline is taken where it has fallen half the way, of polished wire farther down (see [`gloss`](super::gloss)).
 
 use std::ops::Range;
 
@@ -22,6 +22,8 @@ const BEHIND_END_PX: f64 = 4.0;
 /// How bright it may be behind an end, from floor (0) to wire (1).
 const BEHIND_END_MAX: f64 = 0.35;
 
+/// Half the way from the background to the brightest of the wire, where the outline of a dull wire is.
+pub const HALF_WAY: u8 = 128;
 /// From so many widths on it is no shadow that joins a dark wire, but another wire.
 const SHADOW_WIDTHS_MAX: f64 = 1.2;
 
@@ -41,6 +43,9 @@ impl Section {
     }
 }
 
+/// Grey levels between wire and background from which an outline is believed.
+pub const CONTRAST_MIN: f64 = 12.0;
+
 /// Reads grey profiles of one picture.
 #[derive(Clone, Copy)]
 pub struct Profiler<'a> {
@@ -49,12 +54,24 @@ pub struct Profiler<'a> {
     sign: f64,
     /// Grey levels by which wire and background differ at least.
     pub(super) contrast_min: f64,
+    /// How far above the background an outline is taken, in 1/256 of the way to the brightest of the wire.
+    pub(super) outline_256: u8,
 }
 
 impl<'a> Profiler<'a> {
     /// `dark_parts`: the parts are darker than the floor.
     pub fn new(luma: LumaView<'a>, dark_parts: bool, contrast_min: f64) -> Self {
-        Self { luma, sign: if dark_parts { -1.0 } else { 1.0 }, contrast_min }
+        Self { luma, sign: if dark_parts { -1.0 } else { 1.0 }, contrast_min, outline_256: HALF_WAY }
+    }
+
+    /// The same, with outlines so far above the background, in 1/256 of the way to the brightest of the wire; else half way.
+    pub fn with_outlines_at(self, outline_256: u8) -> Self {
+        Self { outline_256, ..self }
+    }
+
+    /// Whether outlines are taken lower than half way.
+    pub fn is_polished(&self) -> bool {
+        self.outline_256 < HALF_WAY
     }
 
     /// Whether the parts are darker than the background.
@@ -111,7 +128,8 @@ impl<'a> Profiler<'a> {
         }
         let window = (px(search_px + 0.5 * half_width_px) as usize).min(half);
         let span = px(2.0 * half_width_px + 3.0) as usize;
-        let fall = outline(bytes, half - window..half + window + 1, span, self.contrast_min)?;
+        let level = (self.contrast_min, self.outline_256);
+        let fall = outline(bytes, half - window..half + window + 1, span, level)?;
         let to_px = |at: f64| (first + at - centre) * scale;
         let (mut low, mut high) = (fall.low.map(|c| to_px(c.at)), fall.high.map(|c| to_px(c.at)));
         if self.dark_parts() {
@@ -306,34 +324,39 @@ pub(super) fn without_shadow(
 
 /// Finds the peak of `profile` within `window` and where it has fallen half the way to the lowest value within `span`
 /// samples, on each side where that is at least `contrast_min` lower.
-fn outline(profile: &[u8], window: Range<usize>, span: usize, contrast_min: f64) -> Option<Fall> {
+fn outline(
+    profile: &[u8],
+    window: Range<usize>,
+    span: usize,
+    (contrast_min, outline_256): (f64, u8),
+) -> Option<Fall> {
     let mut peak = window.start;
     for i in window {
         if profile[i] > profile[peak] {
             peak = i;
         }
     }
-    let level = f64::from(profile[peak]);
-    let half_way =
-        |floor: u8| (level - f64::from(floor) >= contrast_min).then(|| (level + f64::from(floor)) / 2.0);
-    // Twice as much is a whole number.
-    let falls_to = |at: f64| {
-        let twice = (2.0 * at) as u16;
-        move |value: u8| 2 * u16::from(value) <= twice
+    let level = profile[peak];
+    // In 1/256 of a grey level.
+    let fallen_to = |floor: u8| {
+        (f64::from(level) - f64::from(floor) >= contrast_min)
+            .then(|| (u16::from(floor) << 8) + u16::from(level - floor) * u16::from(outline_256))
     };
+    let falls_to = |at: u16| move |value: u8| u16::from(value) << 8 <= at;
     // Between a sample above and its neighbour at or below the level `at`.
-    let crossing = |above: usize, below: usize, at: f64| {
+    let crossing = |above: usize, below: usize, at: u16| {
+        let at = f64::from(at) / 256.0;
         let (a, b) = (f64::from(profile[above]), f64::from(profile[below]));
         Crossing { at: above as f64 + (below as f64 - above as f64) * (a - at) / (a - b), steepness: a - b }
     };
     let low_end = peak.saturating_sub(span);
-    let low = half_way(*profile[low_end..=peak].iter().min()?).and_then(|at| {
+    let low = fallen_to(*profile[low_end..=peak].iter().min()?).and_then(|at| {
         let fallen = falls_to(at);
         let below = (low_end..peak).rev().find(|&i| fallen(profile[i]))?;
         Some(crossing(below + 1, below, at))
     });
     let high_end = (peak + span).min(profile.len() - 1);
-    let high = half_way(*profile[peak..=high_end].iter().min()?).and_then(|at| {
+    let high = fallen_to(*profile[peak..=high_end].iter().min()?).and_then(|at| {
         let fallen = falls_to(at);
         let below = (peak + 1..=high_end).find(|&i| fallen(profile[i]))?;
         Some(crossing(below - 1, below, at))
@@ -412,6 +435,26 @@ mod tests {
         assert!(dip(Vector2::x()) < 5.0, "{}", dip(Vector2::x()));
         assert!(dip(Vector2::y()) > 80.0, "{}", dip(Vector2::y()));
         assert_eq!(profiler.dip(Vector2::new(2.0, 30.0), Vector2::x(), 4.0), None);
+    }
+
+    #[test]
+    fn the_outline_of_polished_wire_is_farther_down_its_light() {
+        // A bright line upright around x = 19, on a body from 16 to 23.
+        let row = (0..40).map(|x| match x {
+            18..=20 => 235u8,
+            16..=23 => 100,
+            _ => 35,
+        });
+        let row: Vec<u8> = row.collect();
+        let frame = Frame::from_grey(40, 40, (0..40).flat_map(|_| row.iter().copied()).collect());
+        let profiler = Profiler::new(LumaView::new(&frame).unwrap(), false, CONTRAST_MIN);
+        let seen = |profiler: Profiler| {
+            let section = profiler.across(Vector2::new(19.5, 20.0), Vector2::x(), 4.0, 1.5);
+            section.unwrap().middle_and_width().unwrap()
+        };
+        let ((line, line_px), (body, body_px)) = (seen(profiler), seen(profiler.with_outlines_at(64)));
+        assert!((line + 0.5).abs() < 0.1 && (line_px - 3.5).abs() < 0.1, "{line} {line_px}");
+        assert!(body.abs() < 0.1 && (body_px - 7.5).abs() < 0.1, "{body} {body_px}");
     }
 
     #[test]

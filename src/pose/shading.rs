@@ -22,6 +22,23 @@ pub struct Shading {
     pub end_lift: f64,
 }
 
+impl Shading {
+    /// The same on polished wire, whose bright line is not where light and shade of a dull one would be.
+    pub fn polished(self) -> Self {
+        const TIMES: f64 = 2.0;
+        let Self { across, across_per_skew, lift, turn_across, turn_lift, end, end_lift } = self;
+        Self {
+            across: TIMES * across,
+            across_per_skew,
+            lift: TIMES * lift,
+            turn_across: TIMES * turn_across,
+            turn_lift: TIMES * turn_lift,
+            end: TIMES * end,
+            end_lift: TIMES * end_lift,
+        }
+    }
+}
+
 impl Default for Shading {
     fn default() -> Self {
         Self {

@@ -42,11 +42,14 @@ use nalgebra::Isometry3;
 use crate::frame::{FramePair, LumaView};
 use crate::grasp::{self, Blocked, Placed};
 use crate::hands;
+use crate::level::Level;
 use crate::matching::hypotheses::{self, Hypothesis, SingleNode};
 use crate::matching::lines::{self, Lines};
 use crate::matching::search::Search;
 use crate::part::Part;
 use crate::picture::{Picture, halvings};
+use crate::pose::gloss::Gloss;
+use crate::pose::section::HALF_WAY;
 use crate::rig::Rig;
 use crate::time::{Budget, Timestamp, Watch};
 use crate::vision::binarize;
@@ -60,7 +63,7 @@ use result::PARTS_MAX;
 pub use result::{FoundNode, FoundPart, NoPick, Recognition, Refusal, Seen, Side, StageTimes};
 use unexplained::{is_claimed, unexplained_px};
 use unknown::{Taken, Unknown};
-use views::{lit, views};
+use views::{lit, outlines_256, views};
 
 /// Shares of the time that is left each time: for the search, for looking at what it found, which takes about as long, and
 /// for the competition. The rest is for the grasps.
@@ -85,6 +88,9 @@ pub struct Recognizer {
     lines: Lines,
     explanations: Explanations,
     unknown: Unknown,
+    gloss: Gloss,
+    /// At which levels outlines are taken in both pictures.
+    outlines_256: [u8; 2],
     second: Option<hands::Owner>,
 }
 
@@ -128,6 +134,8 @@ impl Recognizer {
             ),
             explanations: Explanations::new(lit(&params), &rig, params.nodes.nodes_max, &parts),
             unknown: Unknown::new(&pictures),
+            gloss: Gloss::new(Level::detect()),
+            outlines_256: [HALF_WAY; 2],
             pictures,
             params,
             scales,
@@ -178,6 +186,7 @@ impl Recognizer {
         let seen = Timestamp::now();
         self.search(budget.share(SEARCH_SHARE), seed, out);
         let matched = Timestamp::now();
+        self.judge_gloss(pair);
         self.explanations.clear(self.pictures.each_ref().map(Picture::nodes));
         let looking = &mut budget.looks(LOOK_SHARE);
         let mut all_looked_at = self.explain(pair, false, looking);
@@ -357,12 +366,23 @@ impl Recognizer {
         })
     }
 
+    /// Finds out at which levels outlines are to be taken.
+    fn judge_gloss(&mut self, pair: &FramePair) {
+        let Self { pictures, scales, parts, search, params, gloss, .. } = self;
+        let rig = rig_of(scales, pictures);
+        let thinnest_mm = parts.iter().map(|p| p.part.thickness_mm).fold(f64::INFINITY, f64::min);
+        let graphs = pictures.each_ref().map(Picture::graph);
+        self.outlines_256 = match views(pictures, rig, pair, params, &[HALF_WAY; 2]) {
+            Some(views) => outlines_256(gloss, &views, graphs, search.nodes(), thinnest_mm),
+            None => [HALF_WAY; 2],
+        };
+    }
+
     /// Holds the pool's hypotheses against both pictures, for the first time or `again`; says whether all of them.
     fn explain(&mut self, pair: &FramePair, again: bool, looking: &mut Watch) -> bool {
-        let Some(views) = views(&self.pictures, rig_of(&self.scales, &self.pictures), pair, &self.params)
-        else {
-            return true;
-        };
+        let rig = rig_of(&self.scales, &self.pictures);
+        let views = views(&self.pictures, rig, pair, &self.params, &self.outlines_256);
+        let Some(views) = views else { return true };
         let scene = Scene {
             parts: &self.parts,
             views,
@@ -376,9 +396,9 @@ impl Recognizer {
 
     /// Lets the explanations compete; those that stand are the parts. Says whether there was time for it.
     fn compete(&mut self, pair: &FramePair, exchanging: &mut Watch, out: &mut Recognition) -> bool {
-        let Self { explanations, parts, scales, pictures, params, .. } = self;
+        let Self { explanations, parts, scales, pictures, params, outlines_256, .. } = self;
         let rig = rig_of(scales, pictures);
-        let Some(views) = views(pictures, rig, pair, params) else { return true };
+        let Some(views) = views(pictures, rig, pair, params, outlines_256) else { return true };
         let shading = explanations.shading();
         let in_time = explanations.decide(parts, &params.select, &views, exchanging, PARTS_MAX);
         explanations.press_apart(parts, &grasp::down_in_left(&params.grasp), &views);

@@ -1,14 +1,18 @@
 //! The pictures of a pair as pose estimation reads them.
 
+use arrayvec::ArrayVec;
 use nalgebra::Isometry3;
 
 use super::Params;
 use crate::frame::{FramePair, LumaView};
+use crate::matching::problem::StereoNode;
 use crate::picture::Picture;
+use crate::pose::gloss::Gloss;
 use crate::pose::refine::{self, View};
-use crate::pose::section::Profiler;
+use crate::pose::section::{CONTRAST_MIN, HALF_WAY, Profiler};
 use crate::pose::shading::Shading;
 use crate::rig::Rig;
+use crate::vision::graph::Graph;
 
 /// Refinement as the light wants it: dark parts on a light floor are seen whole, so that the middle
 /// between their outlines is their axis, and the outline of an end is the rim of its silhouette, 0.93 radii from the axis
@@ -34,26 +38,52 @@ pub(super) fn lit(params: &Params) -> refine::Params {
     }
 }
 
+/// Depths of nodes of which the median is taken.
+const DEPTHS_MAX: usize = 256;
+
+/// At which levels outlines are taken in both pictures, where these nodes may lie: see [`Gloss`]. Those of dark parts half
+/// way, for a lower level would take shadows for wire.
+pub(super) fn outlines_256(
+    gloss: &mut Gloss,
+    views: &[View; 2],
+    graphs: [&Graph; 2],
+    nodes: &[StereoNode],
+    thinnest_mm: f64,
+) -> [u8; 2] {
+    let mut depths_mm: ArrayVec<f64, DEPTHS_MAX> =
+        nodes.iter().map(|node| node.point_mm.z).take(DEPTHS_MAX).collect();
+    if depths_mm.is_empty() || views.iter().any(|view| view.profiler.dark_parts()) {
+        return [HALF_WAY; 2];
+    }
+    let middle = depths_mm.len() / 2;
+    let depth_mm = *depths_mm.select_nth_unstable_by(middle, f64::total_cmp).1;
+    [0, 1].map(|side: usize| {
+        let View { camera, profiler, .. } = &views[side];
+        gloss.outline_256(graphs[side], profiler, thinnest_mm * camera.fx / depth_mm)
+    })
+}
+
 pub(super) fn views<'a>(
     pictures: &'a [Picture; 2],
     rig: &'a Rig,
     pair: &'a FramePair,
     params: &Params,
+    outlines_256: &[u8; 2],
 ) -> Option<[View<'a>; 2]> {
-    let view = |picture: &'a Picture, frame, camera, camera_from_left: Isometry3<f64>, inverted| {
+    let view = |side: usize, frame, camera, camera_from_left: Isometry3<f64>| {
+        let picture = &pictures[side];
+        let luma = LumaView::new(picture.luma(frame))?;
         Some(View {
             camera,
             rotation: camera_from_left.rotation.to_rotation_matrix().into_inner(),
             camera_from_left,
-            profiler: Profiler::new(LumaView::new(picture.luma(frame))?, inverted, CONTRAST_MIN),
+            profiler: Profiler::new(luma, params.binarize[side].inverted, CONTRAST_MIN)
+                .with_outlines_at(outlines_256[side]),
             mask: picture.mask(),
         })
     };
     Some([
-        view(&pictures[0], &pair.left, &rig.left, Isometry3::identity(), params.binarize[0].inverted)?,
-        view(&pictures[1], &pair.right, &rig.right, rig.right_from_left, params.binarize[1].inverted)?,
+        view(0, &pair.left, &rig.left, Isometry3::identity())?,
+        view(1, &pair.right, &rig.right, rig.right_from_left)?,
     ])
 }
-
-/// Grey levels between wire and background from which an outline is believed.
-const CONTRAST_MIN: f64 = 12.0;

@@ -10,7 +10,7 @@
 use nalgebra::{Matrix3, Matrix6, SMatrix, Vector3};
 
 use super::equations::{Doubt, START_SIGMA, Unknowns};
-use super::{FINE_NEXT, Fit, Refine, Shading};
+use super::{FINE_NEXT, Fit, Refine, Shading, View};
 use crate::pose::model::PoseModel;
 
 type Inverse = SMatrix<f64, 8, 8>;
@@ -45,7 +45,7 @@ impl Refine {
     /// Covariance of a small displacement (mm) and rotation (radians) of the pose of the last [`Refine::fine`] about the
     /// part's centre, left camera's axes: of what is different from place to place, and of what the light does to all of
     /// the wire.
-    pub fn covariance(&mut self, model: &PoseModel, fit: &Fit) -> Matrix6<f64> {
+    pub fn covariance(&mut self, model: &PoseModel, fit: &Fit, views: &[View; 2]) -> Matrix6<f64> {
         let pose = &fit.left_from_part;
         let (_, scales_px) = FINE_NEXT;
         let Self { observations, origins, params, eye, equations, .. } = self;
@@ -67,7 +67,9 @@ impl Refine {
             return Matrix6::from_diagonal(&[mm, mm, mm, radians, radians, radians].into());
         };
         let sight = (pose * model.centre_mm - *eye).normalize();
-        covariance(&params.shading, model, observations, &solution.inverse(), fit.misfit.max(1.0), &sight)
+        let is_polished = views.iter().any(|view| view.profiler.is_polished());
+        let shading = if is_polished { params.shading.polished() } else { params.shading };
+        covariance(&shading, model, observations, &solution.inverse(), fit.misfit.max(1.0), &sight)
     }
 }
 

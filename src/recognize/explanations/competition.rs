@@ -114,7 +114,7 @@ impl Explanations {
         if let Some(there) = self.refine.again(pose_model, &middle, views) {
             *fit = there;
             verify(&self.refine, pose_model, stops, &fit.left_from_part, views, verdict);
-            *covariance = self.refine.covariance(pose_model, fit);
+            *covariance = self.refine.covariance(pose_model, fit, views);
         }
     }
 

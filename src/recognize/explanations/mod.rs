@@ -271,7 +271,7 @@ impl Explanations {
         let verdict = &mut explanation.verdict;
         verify(&self.refine, model, &prepared.stops, &fit.left_from_part, &scene.views, verdict);
         explanation.overrun_mm = verdict.overrun_mm;
-        explanation.covariance = self.refine.covariance(model, &fit);
+        explanation.covariance = self.refine.covariance(model, &fit, &scene.views);
         explanation.ends_px.clear();
         for end in self.refine.ends() {
             if let [Some(left), Some(right)] = end

@@ -7,6 +7,7 @@ use nalgebra::Point3;
 use super::*;
 use crate::frame::{Frame, FramePair};
 use crate::part::Part;
+use crate::pose::section::HALF_WAY;
 use crate::pose::slide;
 use crate::recognize::views::views;
 use crate::recognize::{Params, Recognition, Recognizer};
@@ -150,7 +151,7 @@ fn a_rod_with_both_ends_on_others_lies_in_the_middle_of_where_it_can() {
     let mut recognizer = Recognizer::new(Params::default(), rig, vec![rod("rod-75", 75.0)]).unwrap();
     recognizer.run(&pair, Budget::Iterations(100_000), 1, &mut Recognition::default()).unwrap();
     let Recognizer { pictures, params, parts, explanations, .. } = recognizer;
-    let views = views(&pictures, &rig, &pair, &params).unwrap();
+    let views = views(&pictures, &rig, &pair, &params, &[HALF_WAY; 2]).unwrap();
     let turn = nalgebra::UnitQuaternion::rotation_between(&Vector3::x(), &along).unwrap();
     for displaced_mm in [-5.0, 0.0, 5.0] {
         let pose = Isometry3::from_parts(at(displaced_mm, 0.0).into(), turn);
