@@ -43,7 +43,8 @@ use crate::vision::graph::Graph;
 const LEVELS_256: [u8; 4] = [128, 96, 64, 48];
 /// Width of the outlines over that of the silhouette from which a level does: those of dull wire are 0.8 to 0.9 of it.
 const WIDE_MIN: f64 = 0.65;
-/// Fewest sections that say anything.
+/// Sections that are looked at, about, and fewest that say anything.
+const SECTIONS: usize = 20;
 const SECTIONS_MIN: usize = 5;
 /// How far from the ends of its chain a section lies, in half thicknesses, and over how much of the chain its direction is
 /// taken, each way, in pixels.
@@ -78,7 +79,7 @@ impl Gloss {
 
 /// Median width of the outlines at places spread over the skeleton; `None` where there are too few.
 fn median_width_px(graph: &Graph, profiler: &Profiler, outlines: &mut Outlines) -> Option<f64> {
-    let apart = graph.points.len() / LINES + 1;
+    let apart = graph.points.len() / SECTIONS + 1;
     outlines.clear();
     for edge in &graph.edges {
         let clear = (CLEAR_HALF_WIDTHS * edge.half_thickness_px) as usize + DIRECTION_PX;

@@ -10,7 +10,7 @@ use crate::part::Part;
 use crate::pose::section::HALF_WAY;
 use crate::pose::slide;
 use crate::recognize::views::views;
-use crate::recognize::{Params, Recognition, Recognizer};
+use crate::recognize::{FoundPart, Params, Recognition, Recognizer};
 use crate::rig::CameraModel;
 use crate::session::read_picture;
 use crate::time::{Budget, Timestamp};
@@ -81,6 +81,11 @@ fn the_competition_ends_as_if_every_worth_were_asked_again_each_time() {
 
 /// Lit rods of 3 mm from one place to another, both in the left camera's frame, on a dark floor.
 fn drawn(rig: &Rig, rods: &[[Point3<f64>; 2]]) -> FramePair {
+    drawn_in_light(rig, rods, |inside_px| (inside_px + 0.5).clamp(0.0, 1.0) * (1.0 + 0.05 * inside_px))
+}
+
+/// The same with this light so far inside their border, in pixels; their axis is 3.45 inside.
+fn drawn_in_light(rig: &Rig, rods: &[[Point3<f64>; 2]], light: fn(f64) -> f64) -> FramePair {
     let frame = |side: usize| {
         let see = |p: &Point3<f64>| if side == 0 { rig.project_left(p) } else { rig.project_right(p) };
         let rods: Vec<_> = rods.iter().map(|rod| rod.map(|p| see(&p).unwrap())).collect();
@@ -91,7 +96,7 @@ fn drawn(rig: &Rig, rods: &[[Point3<f64>; 2]]) -> FramePair {
                 let half_px = 1.5 * 1150.0 / 500.0;
                 let inside = (px - a).dot(&along).min((b - px).dot(&along));
                 let beside = half_px - (px - a).perp(&along).abs();
-                (inside + 0.5).clamp(0.0, 1.0) * (beside + 0.5).clamp(0.0, 1.0) * (1.0 + 0.05 * beside)
+                (inside + 0.5).clamp(0.0, 1.0) * light(beside)
             };
             40.0 + 140.0 * rods.iter().map(covered).fold(0.0, f64::max)
         };
@@ -158,5 +163,33 @@ fn a_rod_with_both_ends_on_others_lies_in_the_middle_of_where_it_can() {
         let found = slide::to_middle(&explanations.refine, &parts[0].pose_model, &pose, &views);
         let place_mm = (found.translation.vector - at(0.0, 0.0).coords).dot(&along);
         assert!(place_mm.abs() < 0.8, "{displaced_mm}: {place_mm}");
+    }
+}
+
+#[test]
+fn polished_rods_are_recognised() {
+    let camera = CameraModel::pinhole(640, 480, 1150.0, 320.0, 240.0);
+    let rig = Rig { left: camera, right: camera, right_from_left: Isometry3::translation(-60.0, 0.0, 0.0) };
+    let at = |x: f64, y: f64| Point3::new(x, y, 500.0);
+    let rods = [
+        [at(-60.0, -40.0), at(0.0, -85.0)],
+        [at(10.0, -50.0), at(55.0, 10.0)],
+        [at(60.0, 70.0), at(90.0, 1.3)],
+        [at(-20.0, 10.0), at(25.0, 70.0)],
+    ];
+    // A dark body with a line as wide as a third of it along its middle.
+    let polished = |inside_px: f64| {
+        0.35 * (inside_px + 0.5).clamp(0.0, 1.0) + 1.1 * (inside_px - 2.3 + 0.5).clamp(0.0, 1.0)
+    };
+    let mut recognizer = Recognizer::new(Params::default(), rig, vec![rod("rod-75", 75.0)]).unwrap();
+    let mut found = Recognition::default();
+    recognizer
+        .run(&drawn_in_light(&rig, &rods, polished), Budget::Iterations(100_000), 1, &mut found)
+        .unwrap();
+    assert!(recognizer.outlines_256.iter().all(|&level| level < HALF_WAY));
+    for rod in &rods {
+        let middle = nalgebra::center(&rod[0], &rod[1]);
+        let near = |p: &&FoundPart| (p.left_from_part.translation.vector - middle.coords).norm() < 1.0;
+        assert!(found.parts.iter().any(|p| near(&p)), "{middle} of {:?}", found.parts);
     }
 }
