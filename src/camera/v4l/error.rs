@@ -141,21 +141,11 @@ pub(super) fn in_words(asked: &CameraSettings) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frame::PixelFormat;
-    use std::collections::BTreeMap;
+    use crate::camera::v4l::tests::settings;
 
     #[test]
     fn error_numbers_are_told_in_words() {
-        let asked = CameraSettings {
-            device: "/dev/cam1".into(),
-            format: PixelFormat::Yuyv,
-            width: 640,
-            height: 480,
-            rate_hz: 30.0,
-            matrix: None,
-            range: None,
-            controls: BTreeMap::new(),
-        };
+        let asked = settings("/dev/cam1");
         let of = |errno| CameraError::of(&asked.device, &asked, "start", io::Error::from_raw_os_error(errno));
         let message = of(libc::ENOSPC).to_string();
         assert!(message.contains("no bandwidth left for YUYV 640x480 at 30 (ENOSPC)"), "{message}");

@@ -173,19 +173,10 @@ impl Rows {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::collections::BTreeMap;
+    use crate::camera::v4l::tests::settings;
 
     fn asked() -> CameraSettings {
-        CameraSettings {
-            device: "/dev/cam0".into(),
-            format: PixelFormat::Yuyv,
-            width: 640,
-            height: 480,
-            rate_hz: 30.0,
-            matrix: None,
-            range: None,
-            controls: BTreeMap::new(),
-        }
+        settings("/dev/cam0")
     }
 
     fn taken() -> DriverFormat {

@@ -2,7 +2,7 @@ use super::*;
 use crate::frame::PixelFormat;
 use std::collections::BTreeMap;
 
-fn settings(device: &str) -> CameraSettings {
+pub(super) fn settings(device: &str) -> CameraSettings {
     CameraSettings {
         device: device.into(),
         format: PixelFormat::Yuyv,
