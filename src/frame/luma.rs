@@ -3,7 +3,7 @@
 use super::{ColourEncoding, Frame, PixelFormat, colour};
 use crate::level::Level;
 
-/// Places of a line that are read together.
+/// Places of a line that are read together; lines have whole blocks of them.
 const BLOCK: usize = 16;
 
 /// The luma of one frame, for measuring edges: format, stride and colour conversion are looked up once, so that
@@ -159,7 +159,7 @@ impl<'a> LumaView<'a> {
     /// picture its border goes on; a NaN coordinate counts as 0. Places in grey pictures are rounded to 1/256 pixel.
     #[inline]
     pub fn sample(&self, x: f32, y: f32) -> f32 {
-        let mut value = [[0.0]];
+        let mut value = [[0.0; BLOCK]];
         self.read_lines(&[[x.into(), y.into()]], [0.0; 2], &mut value, 1);
         value[0][0]
     }
@@ -168,7 +168,7 @@ impl<'a> LumaView<'a> {
     /// `step` apart. What stands behind them in a line is any number then.
     ///
     /// # Panics
-    /// Where `count` is more than `LEN`.
+    /// Where `count` is more than `LEN`, which is a multiple of 16.
     #[inline]
     pub fn read_lines<const LEN: usize>(
         &self,
@@ -177,6 +177,7 @@ impl<'a> LumaView<'a> {
         lines: &mut [[f32; LEN]],
         count: usize,
     ) {
+        const { assert!(LEN.is_multiple_of(BLOCK), "lines of whole blocks") };
         assert!(count <= LEN, "{count} places in a line of {LEN}");
         match self.reading {
             Reading::Weighted(w) => self.read_one_by_one(from, step, lines, count, |x, y| {
@@ -185,10 +186,7 @@ impl<'a> LumaView<'a> {
                 (i32::from(p[0]) * w[0] + i32::from(p[1]) * w[1] + i32::from(p[2]) * w[2]) as f32
                     * (1.0 / (1 << colour::LUMA_SHIFT) as f32)
             }),
-            Reading::Plain { step: 1 }
-                if LEN.is_multiple_of(BLOCK)
-                    && from.iter().all(|from| self.is_line_inside(*from, step, count)) =>
-            {
+            Reading::Plain { step: 1 } if from.iter().all(|from| self.is_line_inside(*from, step, count)) => {
                 self.read_inside(from, step, lines, count)
             }
             Reading::Plain { step: bytes } => self.read_one_by_one(from, step, lines, count, |x, y| {
@@ -272,7 +270,7 @@ impl<'a> LumaView<'a> {
         let fixed = |v: f64| (v * 65536.0) as i32;
         let (stride, [dx, dy]) = (self.stride as i32, step.map(fixed));
         // All of a block, also where the lines end before.
-        let whole = count.next_multiple_of(BLOCK).min(LEN);
+        let whole = count.next_multiple_of(BLOCK);
         let (mut at, mut upper, mut lower) = ([0i32; LEN], [0u16; LEN], [0u16; LEN]);
         for (line, from) in lines.iter_mut().zip(from) {
             let [x, y] = from.map(fixed);
