@@ -41,7 +41,7 @@ use crate::vision::graph::Graph;
 
 /// Levels that are tried, highest first, in 1/256 of the way from the floor to the brightest of the wire.
 const LEVELS_256: [u8; 4] = [128, 96, 64, 48];
-/// Width of the outlines over that of the silhouette from which a level does: those of dull wire are 0.8 to 0.9 of it.
+/// Width of the outlines over that of the silhouette from which a level does: of dull wire it is 0.7 or more.
 const WIDE_MIN: f64 = 0.65;
 /// Sections that are looked at, about, and fewest that say anything.
 const SECTIONS: usize = 20;

@@ -223,7 +223,7 @@ impl Outlines {
     }
 }
 
-/// Where lines have fallen half the way on one side of their peaks.
+/// Where lines have fallen to the level of their outlines on one side of their peaks.
 struct Falls {
     /// In 1/256 of a grey level.
     at_256: [u16; LINES],

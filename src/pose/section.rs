@@ -290,7 +290,7 @@ fn fallen_half_way(profile: &[f64], well_inside: usize, floor: f64) -> Option<f6
     Some((i - 1) as f64 + (profile[i - 1] - at) / (profile[i - 1] - profile[i]))
 }
 
-/// Where a profile has fallen half the way on both sides of its peak.
+/// Where a profile has fallen to the level of an outline on both sides of its peak.
 struct Fall {
     low: Option<Crossing>,
     high: Option<Crossing>,
@@ -322,8 +322,8 @@ pub(super) fn without_shadow(
     }
 }
 
-/// Finds the peak of `profile` within `window` and where it has fallen half the way to the lowest value within `span`
-/// samples, on each side where that is at least `contrast_min` lower.
+/// Finds the peak of `profile` within `window` and where it has fallen to so far above the lowest value within `span` samples,
+/// see [`Profiler::with_outlines_at`], on each side where that is at least `contrast_min` lower.
 fn outline(
     profile: &[u8],
     window: Range<usize>,

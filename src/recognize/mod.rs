@@ -63,7 +63,7 @@ use result::PARTS_MAX;
 pub use result::{FoundNode, FoundPart, NoPick, Recognition, Refusal, Seen, Side, StageTimes};
 use unexplained::{is_claimed, unexplained_px};
 use unknown::{Taken, Unknown};
-use views::{lit, outlines_256, views};
+use views::{lit, outline_256, views};
 
 /// Shares of the time that is left each time: for the search, for looking at what it found, which takes about as long, and
 /// for the competition. The rest is for the grasps.
@@ -89,8 +89,8 @@ pub struct Recognizer {
     explanations: Explanations,
     unknown: Unknown,
     gloss: Gloss,
-    /// At which levels outlines are taken in both pictures.
-    outlines_256: [u8; 2],
+    /// At which level outlines are taken.
+    outline_256: u8,
     second: Option<hands::Owner>,
 }
 
@@ -135,7 +135,7 @@ impl Recognizer {
             explanations: Explanations::new(lit(&params), &rig, params.nodes.nodes_max, &parts),
             unknown: Unknown::new(&pictures),
             gloss: Gloss::new(Level::detect()),
-            outlines_256: [HALF_WAY; 2],
+            outline_256: HALF_WAY,
             pictures,
             params,
             scales,
@@ -366,22 +366,21 @@ impl Recognizer {
         })
     }
 
-    /// Finds out at which levels outlines are to be taken.
+    /// Finds out at which level outlines are to be taken.
     fn judge_gloss(&mut self, pair: &FramePair) {
         let Self { pictures, scales, parts, search, params, gloss, .. } = self;
         let rig = rig_of(scales, pictures);
         let thinnest_mm = parts.iter().map(|p| p.part.thickness_mm).fold(f64::INFINITY, f64::min);
         let graphs = pictures.each_ref().map(Picture::graph);
-        self.outlines_256 = match views(pictures, rig, pair, params, &[HALF_WAY; 2]) {
-            Some(views) => outlines_256(gloss, &views, graphs, search.nodes(), thinnest_mm),
-            None => [HALF_WAY; 2],
-        };
+        let nodes = search.near_nodes().map(|(_, node)| node);
+        self.outline_256 = views(pictures, rig, pair, params, HALF_WAY)
+            .map_or(HALF_WAY, |views| outline_256(gloss, &views, graphs, nodes, thinnest_mm));
     }
 
     /// Holds the pool's hypotheses against both pictures, for the first time or `again`; says whether all of them.
     fn explain(&mut self, pair: &FramePair, again: bool, looking: &mut Watch) -> bool {
         let rig = rig_of(&self.scales, &self.pictures);
-        let views = views(&self.pictures, rig, pair, &self.params, &self.outlines_256);
+        let views = views(&self.pictures, rig, pair, &self.params, self.outline_256);
         let Some(views) = views else { return true };
         let scene = Scene {
             parts: &self.parts,
@@ -396,9 +395,9 @@ impl Recognizer {
 
     /// Lets the explanations compete; those that stand are the parts. Says whether there was time for it.
     fn compete(&mut self, pair: &FramePair, exchanging: &mut Watch, out: &mut Recognition) -> bool {
-        let Self { explanations, parts, scales, pictures, params, outlines_256, .. } = self;
+        let Self { explanations, parts, scales, pictures, params, outline_256, .. } = self;
         let rig = rig_of(scales, pictures);
-        let Some(views) = views(pictures, rig, pair, params, outlines_256) else { return true };
+        let Some(views) = views(pictures, rig, pair, params, *outline_256) else { return true };
         let shading = explanations.shading();
         let in_time = explanations.decide(parts, &params.select, &views, exchanging, PARTS_MAX);
         explanations.press_apart(parts, &grasp::down_in_left(&params.grasp), &views);

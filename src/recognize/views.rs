@@ -41,26 +41,26 @@ pub(super) fn lit(params: &Params) -> refine::Params {
 /// Depths of nodes of which the median is taken.
 const DEPTHS_MAX: usize = 256;
 
-/// At which levels outlines are taken in both pictures, where these nodes may lie: see [`Gloss`]. Those of dark parts half
-/// way, for a lower level would take shadows for wire.
-pub(super) fn outlines_256(
+/// At which level outlines are taken, where these nodes may lie: see [`Gloss`]. The same in both pictures, for the same
+/// outlines are to be compared; half way of dark parts, for a lower level would take shadows for wire.
+pub(super) fn outline_256<'a>(
     gloss: &mut Gloss,
     views: &[View; 2],
     graphs: [&Graph; 2],
-    nodes: &[StereoNode],
+    nodes: impl Iterator<Item = &'a StereoNode>,
     thinnest_mm: f64,
-) -> [u8; 2] {
+) -> u8 {
     let mut depths_mm: ArrayVec<f64, DEPTHS_MAX> =
-        nodes.iter().map(|node| node.point_mm.z).take(DEPTHS_MAX).collect();
+        nodes.map(|node| node.point_mm.z).take(DEPTHS_MAX).collect();
     if depths_mm.is_empty() || views.iter().any(|view| view.profiler.dark_parts()) {
-        return [HALF_WAY; 2];
+        return HALF_WAY;
     }
     let middle = depths_mm.len() / 2;
     let depth_mm = *depths_mm.select_nth_unstable_by(middle, f64::total_cmp).1;
-    [0, 1].map(|side: usize| {
-        let View { camera, profiler, .. } = &views[side];
-        gloss.outline_256(graphs[side], profiler, thinnest_mm * camera.fx / depth_mm)
-    })
+    let levels = views.iter().zip(graphs).map(|(View { camera, profiler, .. }, graph)| {
+        gloss.outline_256(graph, profiler, thinnest_mm * camera.fx / depth_mm)
+    });
+    levels.fold(HALF_WAY, u8::min)
 }
 
 pub(super) fn views<'a>(
@@ -68,7 +68,7 @@ pub(super) fn views<'a>(
     rig: &'a Rig,
     pair: &'a FramePair,
     params: &Params,
-    outlines_256: &[u8; 2],
+    outline_256: u8,
 ) -> Option<[View<'a>; 2]> {
     let view = |side: usize, frame, camera, camera_from_left: Isometry3<f64>| {
         let picture = &pictures[side];
@@ -78,7 +78,7 @@ pub(super) fn views<'a>(
             rotation: camera_from_left.rotation.to_rotation_matrix().into_inner(),
             camera_from_left,
             profiler: Profiler::new(luma, params.binarize[side].inverted, CONTRAST_MIN)
-                .with_outlines_at(outlines_256[side]),
+                .with_outlines_at(outline_256),
             mask: picture.mask(),
         })
     };

@@ -44,7 +44,7 @@ impl Observation {
 impl Refine {
     /// Covariance of a small displacement (mm) and rotation (radians) of the pose of the last [`Refine::fine`] about the
     /// part's centre, left camera's axes: of what is different from place to place, and of what the light does to all of
-    /// the wire.
+    /// the wire, polished or not.
     pub fn covariance(&mut self, model: &PoseModel, fit: &Fit, views: &[View; 2]) -> Matrix6<f64> {
         let pose = &fit.left_from_part;
         let (_, scales_px) = FINE_NEXT;
