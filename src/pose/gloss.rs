@@ -37,7 +37,7 @@ use nalgebra::Vector2;
 use super::outlines::{LINES, Outlines};
 use super::section::Profiler;
 use crate::level::Level;
-use crate::vision::graph::Graph;
+use crate::vision::graph::{Edge, Graph};
 
 /// Levels that are tried, highest first, in 1/256 of the way from the floor to the brightest of the wire.
 const LEVELS_256: [u8; 4] = [128, 96, 64, 48];
@@ -79,12 +79,20 @@ impl Gloss {
 
 /// Median width of the outlines at places spread over the skeleton; `None` where there are too few.
 fn median_width_px(graph: &Graph, profiler: &Profiler, outlines: &mut Outlines) -> Option<f64> {
-    let apart = graph.points.len() / SECTIONS + 1;
-    outlines.clear();
-    for edge in &graph.edges {
+    let clear_places = |edge: &Edge| {
         let clear = (CLEAR_HALF_WIDTHS * edge.half_thickness_px) as usize + DIRECTION_PX;
-        let points = &graph.points[edge.points.start as usize..edge.points.end as usize];
-        for at in (clear..points.len().saturating_sub(clear)).step_by(apart) {
+        clear..edge.points.len().saturating_sub(clear)
+    };
+    let apart = graph.edges.iter().map(|edge| clear_places(edge).len()).sum::<usize>() / SECTIONS + 1;
+    outlines.clear();
+    // From one chain on to the next.
+    let mut skipped = 0;
+    for edge in &graph.edges {
+        let points = graph.edge_points(edge);
+        let places = clear_places(edge);
+        let taken = places.len().saturating_sub(skipped).div_ceil(apart);
+        let next = skipped + taken * apart - places.len();
+        for at in places.skip(std::mem::replace(&mut skipped, next)).step_by(apart) {
             let place = |k: usize| Vector2::from(points[k].map(f64::from));
             let along = place(at + DIRECTION_PX) - place(at - DIRECTION_PX);
             if let Some(along) = along.try_normalize(1e-9) {

@@ -73,6 +73,7 @@
 
 mod aim;
 pub mod contact;
+pub mod end;
 pub mod gloss;
 pub mod model;
 mod outlines;

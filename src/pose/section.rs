@@ -5,7 +5,6 @@
 
 use std::ops::Range;
 
-use arrayvec::ArrayVec;
 use nalgebra::Vector2;
 
 use crate::frame::LumaView;
@@ -17,11 +16,6 @@ pub(super) const SAMPLES_MAX: usize = 96;
 const SKEW_STEPS: usize = 12;
 /// How far beside a crossing the light of a wire is looked at, in pixels.
 const DIP_BESIDE_PX: usize = 5;
-/// How far behind an end it must be floor, in pixels.
-const BEHIND_END_PX: f64 = 4.0;
-/// How bright it may be behind an end, from floor (0) to wire (1).
-const BEHIND_END_MAX: f64 = 0.35;
-
 /// Half the way from the background to the brightest of the wire, where the outline of a dull wire is.
 pub const HALF_WAY: u8 = 128;
 /// From so many widths on it is no shadow that joins a dark wire, but another wire.
@@ -51,7 +45,7 @@ pub const CONTRAST_MIN: f64 = 12.0;
 pub struct Profiler<'a> {
     pub(super) luma: LumaView<'a>,
     /// +1 for parts brighter than the floor, -1 for darker ones.
-    sign: f64,
+    pub(super) sign: f64,
     /// Grey levels by which wire and background differ at least.
     pub(super) contrast_min: f64,
     /// How far above the background an outline is taken, in 1/256 of the way to the brightest of the wire.
@@ -79,7 +73,7 @@ impl<'a> Profiler<'a> {
         self.sign < 0.0
     }
 
-    fn inside(&self, at: Vector2<f64>) -> bool {
+    pub(super) fn inside(&self, at: Vector2<f64>) -> bool {
         (0.0..=(self.luma.width() - 1) as f64).contains(&at.x)
             && (0.0..=(self.luma.height() - 1) as f64).contains(&at.y)
     }
@@ -190,104 +184,6 @@ impl<'a> Profiler<'a> {
         let level = mean(0..before).max(mean(count - before..count));
         Some(level - light_at(before..count - before).fold(f64::INFINITY, f64::min))
     }
-
-    /// How far beyond `end` (in pixels, negative: before) the wire ends, along the unit vector `outward`, where
-    /// it ends within `search_px` against the background.
-    pub fn end(
-        &self,
-        end: Vector2<f64>,
-        outward: Vector2<f64>,
-        half_width_px: f64,
-        search_px: f64,
-        look: EndLook,
-    ) -> Option<f64> {
-        let samples_per_px = match look {
-            EndLook::Quick => 1.0,
-            EndLook::Close => 2.0,
-        };
-        let inside_px = (3.0 * half_width_px).max(search_px + 2.0);
-        let outside_px = search_px + BEHIND_END_PX + 0.5;
-        let count = (((inside_px + outside_px) * samples_per_px) as usize + 1).min(SAMPLES_MAX);
-        let beside = Vector2::new(-outward.y, outward.x) * half_width_px;
-        let step = outward / samples_per_px;
-        let beside_px: &[f64] = match look {
-            EndLook::Quick => &[0.0],
-            EndLook::Close => &END_RAYS,
-        };
-        let from: ArrayVec<[f64; 2], 5> =
-            beside_px.iter().map(|ray| (end - outward * inside_px + beside * *ray).into()).collect();
-        let is_inside = |from: &[f64; 2]| {
-            let from = Vector2::from(*from);
-            self.inside(from) && self.inside(from + step * (count - 1) as f64)
-        };
-        if !(is_inside(&from[0]) && is_inside(&from[from.len() - 1])) {
-            return None;
-        }
-        let mut rays = [[0f32; SAMPLES_MAX]; END_RAYS.len()];
-        self.luma.read_lines(&from, step.into(), &mut rays, count);
-        let light = |light: f32| f64::from(light) * self.sign;
-        let well_inside = ((inside_px - search_px - 1.0).max(1.0) * samples_per_px) as usize;
-        let mut profile = [0.0; SAMPLES_MAX];
-        let profile = &mut profile[..count];
-        // Of one line the others are dark.
-        let [a, b, middle, c, d] = &rays;
-        for (i, p) in profile.iter_mut().enumerate() {
-            *p = light((a[i] + b[i]) + middle[i] + (c[i] + d[i])) / from.len() as f64;
-        }
-        let level = profile[..well_inside].iter().sum::<f64>() / well_inside as f64;
-        let floor = profile[well_inside..].iter().copied().fold(f64::INFINITY, f64::min);
-        if level - floor < self.contrast_min {
-            return None;
-        }
-        let at = fallen_half_way(profile, well_inside, floor)?;
-        // Behind an end is floor; a dark seam with another wire behind it is none.
-        let after = |px: f64| (at.ceil() as usize + (px * samples_per_px) as usize).min(count);
-        let bright = floor + BEHIND_END_MAX * (level - floor);
-        if profile[after(1.0)..after(BEHIND_END_PX)].iter().any(|&v| v > bright) {
-            return None;
-        }
-        let px = at / samples_per_px - inside_px;
-        if px.abs() > search_px {
-            return None;
-        }
-        if let EndLook::Close = look {
-            let mut ends_at = |one: &[f32], other: &[f32]| {
-                for (i, p) in profile.iter_mut().enumerate() {
-                    *p = light(one[i] + other[i]) / 2.0;
-                }
-                fallen_half_way(profile, well_inside, floor)
-            };
-            let slant_px = (ends_at(c, d)? - ends_at(a, b)?).abs() / samples_per_px;
-            if slant_px > END_SLANT_MAX * END_SIDES_APART * half_width_px {
-                return None;
-            }
-        }
-        Some(px)
-    }
-}
-
-/// How an end is looked at.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum EndLook {
-    /// Along one line.
-    Quick,
-    /// Along several lines side by side, which must end about level: what a neighbour hides ends obliquely.
-    Close,
-}
-
-/// Where an end is looked at closely, in half widths from the middle: two lines on each side.
-const END_RAYS: [f64; 5] = [-0.5, -0.25, 0.0, 0.25, 0.5];
-/// How far the middles of both sides of these are apart.
-const END_SIDES_APART: f64 = 0.75;
-/// Tangent of the angle by which an end may seem cut obliquely. Of ends that are nobody else's, 97 in 100 are below 0.42.
-const END_SLANT_MAX: f64 = 0.5;
-
-/// Where a profile, bright up to `well_inside`, has first fallen half the way to `floor`, in samples.
-fn fallen_half_way(profile: &[f64], well_inside: usize, floor: f64) -> Option<f64> {
-    let level = profile[..well_inside].iter().sum::<f64>() / well_inside as f64;
-    let at = (level + floor) / 2.0;
-    let i = (well_inside..profile.len()).find(|&i| profile[i] <= at)?;
-    Some((i - 1) as f64 + (profile[i - 1] - at) / (profile[i - 1] - profile[i]))
 }
 
 /// Where a profile has fallen to the level of an outline on both sides of its peak.

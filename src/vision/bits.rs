@@ -173,11 +173,11 @@ impl BitImage {
     }
 }
 
-/// The nearest pixel. `f64::round` is a function call on processors without SSE 4.1, which the program may run on.
+/// The nearest pixel; of what is no number, or millions of pixels away, one outside of any picture. `f64::round` is a function call on processors without SSE 4.1, which the program may run on.
 #[inline]
 pub fn nearest(px: f64) -> i32 {
     const ABOVE_ZERO: i32 = 1 << 20;
-    (px + (f64::from(ABOVE_ZERO) + 0.5)) as i32 - ABOVE_ZERO
+    ((px + (f64::from(ABOVE_ZERO) + 0.5)) as i32).wrapping_sub(ABOVE_ZERO)
 }
 
 #[cfg(test)]

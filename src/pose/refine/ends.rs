@@ -4,9 +4,10 @@ use nalgebra::{Isometry3, Point3, Vector2, Vector6};
 
 use super::{Refine, View, profilers, seen};
 use crate::pose::aim::{aim, up};
+use crate::pose::end::EndLook;
 use crate::pose::model::PoseModel;
 use crate::pose::outlines::{LINES, Outlines};
-use crate::pose::section::{EndLook, Profiler, Section};
+use crate::pose::section::{Profiler, Section};
 use crate::pose::width::ONE_WIRE;
 use crate::vision::bits::{BitImage, nearest};
 

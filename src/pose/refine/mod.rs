@@ -27,9 +27,10 @@ use measure::{measure_ends, measure_outlines};
 pub use params::Params;
 
 use super::aim::{aim, up};
+use super::end::EndLook;
 use super::model::{PoseModel, Station};
 use super::outlines::{LINES, Outlines};
-use super::section::{EndLook, Profiler, Section};
+use super::section::{Profiler, Section};
 use super::shading::Shading;
 use super::sweep::{Eight, Expected, LANES, Sweep};
 use super::width::UsualWidth;

@@ -5,8 +5,9 @@ use nalgebra::{Isometry3, Vector6};
 use super::equations::{Measurement, Solution};
 use super::measure::measure_ends;
 use super::{Refine, STATIONS_MAX, View, each_expected};
+use crate::pose::end::EndLook;
 use crate::pose::model::PoseModel;
-use crate::pose::section::{EndLook, mask_run};
+use crate::pose::section::mask_run;
 
 /// Every so many stations are looked at while the pose is rough, but for parts of short pieces.
 const COARSE_STRIDE: usize = 3;
