@@ -114,6 +114,24 @@ mod tests {
         Ok(())
     }
 
+    #[test]
+    fn what_stands_in_the_padding_is_not_looked_at() {
+        let mut mask = BitImage::new(70, 20);
+        (0..70).for_each(|x| (5..9).for_each(|y| mask.set(x, y, true)));
+        for &level in Level::available() {
+            let thinned = |mask: &BitImage| {
+                let mut skeleton = BitImage::new(70, 20);
+                Thin::with_level(Params::default(), 70, 20, level).run(mask, &mut skeleton);
+                skeleton.to_text()
+            };
+            let mut padded = mask.clone();
+            let words = padded.words_mut();
+            let last = words.len() - 1;
+            (words[0], words[last]) = (u64::MAX, u64::MAX);
+            assert_eq!(thinned(&padded), thinned(&mask), "{level:?}");
+        }
+    }
+
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(48))]
         #[test]

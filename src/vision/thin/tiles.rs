@@ -84,11 +84,15 @@ impl Tiles {
         for (s, strip) in strips.enumerate() {
             let lines = &mut self.plane[(s + 1) * self.stride..(s + 2) * self.stride];
             let filled = &mut active.filled[(s + 1) * active.words..(s + 2) * active.words];
-            // Padding is copied too: it is empty, and its tile is bit 0.
+            // Padding is copied too.
             for (tile, (line, words)) in lines.iter_mut().zip(strip.as_chunks::<TILE_ROWS>().0).enumerate() {
                 line.0 = *words;
                 let any = words.iter().fold(0, |any, &w| any | w) != 0;
                 filled[tile / 64] |= (any as u64) << (tile % 64);
+            }
+            // It is empty; and should it not be, nothing is looked at beyond it.
+            for tile in [0, self.stride - 1] {
+                filled[tile / 64] &= !(1 << (tile % 64));
             }
         }
         active.last.copy_from_slice(&active.filled);
