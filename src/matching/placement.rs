@@ -21,7 +21,7 @@ pub fn rigid_motion(pairs: &[(Point3<f64>, Point3<f64>)]) -> Option<Isometry3<f6
     let mean_to = pairs.iter().map(|p| p.1.coords).sum::<Vector3<f64>>() / n;
     let on_a_line = || {
         let (a, b) = (pairs[1].0 - pairs[0].0, pairs[1].1 - pairs[0].1);
-        UnitQuaternion::rotation_between(&a, &b).unwrap_or_else(|| half_turn(&a))
+        smallest_turn(&a, &b)
     };
     let rotation = if pairs.len() == 2 {
         on_a_line()
@@ -84,6 +84,14 @@ fn nearest_rotation(cross: &Matrix3<f64>, squares: f64) -> Option<UnitQuaternion
     UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 0.0)
 }
 
+/// The smallest turn that brings one direction to another.
+fn smallest_turn(from: &Vector3<f64>, to: &Vector3<f64>) -> UnitQuaternion<f64> {
+    let lengths = (from.norm_squared() * to.norm_squared()).sqrt();
+    // With an angle of a between them, 1 + cos a and sin a are the cosine and the sine of a / 2, times 2 cos(a / 2).
+    let half = Quaternion::from_parts(lengths + from.dot(to), from.cross(to));
+    UnitQuaternion::try_new(half, 1e-9 * lengths).unwrap_or_else(|| half_turn(from))
+}
+
 fn half_turn(axis_to_reverse: &Vector3<f64>) -> UnitQuaternion<f64> {
     let other =
         if axis_to_reverse.x.abs() < 0.9 * axis_to_reverse.norm() { Vector3::x() } else { Vector3::y() };
@@ -100,7 +108,7 @@ pub fn motion_of_directions(
 ) -> Option<Isometry3<f64>> {
     let rotation = match directions {
         [] => return None,
-        [(a, b)] => UnitQuaternion::rotation_between(a, b).unwrap_or_else(|| half_turn(a)),
+        [(a, b)] => smallest_turn(a, b),
         many => {
             let mut cross = Matrix3::zeros();
             for (a, b) in many {
@@ -133,6 +141,21 @@ mod tests {
         let found = rigid_motion(&pairs[..2]).unwrap();
         assert!(corners[..2].iter().all(|p| (found * p - motion * p).norm() < 1e-9));
         assert!(rigid_motion(&pairs[..1]).is_none());
+    }
+
+    proptest! {
+        #[test]
+        fn the_smallest_turn_brings_one_direction_to_another(
+            from in proptest::array::uniform3(-40.0..40.0f64), to in proptest::array::uniform3(-40.0..40.0f64),
+        ) {
+            let [from, to] = [from, to].map(Vector3::from);
+            prop_assume!(from.norm() > 1e-3 && to.norm() > 1e-3);
+            let turn = smallest_turn(&from, &to);
+            prop_assert!((turn * from.normalize() - to.normalize()).norm() < 1e-9);
+            prop_assert!((turn.angle() - from.angle(&to)).abs() < 1e-6);
+            let back = smallest_turn(&from, &-from);
+            prop_assert!((back * from + from).norm() < 1e-6 * from.norm(), "{back}");
+        }
     }
 
     /// By singular values (Kabsch, doi:10.1107/S0567739476001873), slower.
