@@ -77,7 +77,7 @@ pub struct Params {
     pub workspace: Option<Workspace>,
     /// Sizes of the gripper.
     pub gripper: Gripper,
-    /// What the arm can turn, with the tilt and yaw that it tolerates in radians.
+    /// What the arm can turn.
     pub axes: ArmAxes,
     /// Tilt that an arm without tilting axes still takes, radians.
     pub tilt_tolerance_rad: f64,

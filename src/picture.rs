@@ -51,6 +51,9 @@ struct Traced {
     mask: BitImage,
     skeleton: BitImage,
     graph: Graph,
+    /// Half thickness of each edge and its number of pixels, thinnest first.
+    widths: Vec<(f32, usize)>,
+    half_width_px: f64,
 }
 
 impl Traced {
@@ -68,6 +71,8 @@ impl Traced {
             skeleton: BitImage::new(width, height),
             graph,
             rays: UndistortTable::new(&camera, RAY_ERROR_PX),
+            widths: Vec::with_capacity(graph_limits.edges_max as usize),
+            half_width_px: 0.0,
         }
     }
 
@@ -78,22 +83,26 @@ impl Traced {
         self.thin.run(mask, skeleton);
         let thinned = Timestamp::now();
         self.graphs.run(skeleton, mask, luma.or(Some(&self.plane)), graph)?;
-        self.image_nodes.run(graph, mask, &self.rays);
+        self.image_nodes.run(graph, mask, &self.rays)?;
+        self.half_width_px = half_width_px(graph, &mut self.widths);
         stages.thin_ns += ns(begin, thinned);
         stages.graph_ns += ns(thinned, Timestamp::now());
         Ok(())
     }
+}
 
-    /// Half the width of its wire in pixels: what a quarter of it does not exceed, for regions of several wires are wider.
-    fn half_width_px(&self) -> f64 {
-        let edges = &self.graph.edges;
-        let length = |below: f32| -> usize {
-            edges.iter().filter(|e| e.half_thickness_px <= below).map(|e| e.points.len()).sum()
-        };
-        let all = length(f32::INFINITY);
-        let quarter = edges.iter().map(|e| e.half_thickness_px).filter(|&h| 4 * length(h) >= all);
-        f64::from(quarter.fold(f32::INFINITY, f32::min).min(HALF_WIDTH_PX_MAX))
-    }
+/// Half the width of a picture's wire in pixels: what a quarter of it does not exceed, for regions of several wires are wider.
+fn half_width_px(graph: &Graph, widths: &mut Vec<(f32, usize)>) -> f64 {
+    widths.clear();
+    widths.extend(graph.edges.iter().map(|e| (e.half_thickness_px, e.points.len())));
+    widths.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+    let all: usize = widths.iter().map(|(_, length)| length).sum();
+    let mut below = 0;
+    let quarter = widths.iter().find(|(_, length)| {
+        below += length;
+        4 * below >= all
+    });
+    f64::from(quarter.map_or(HALF_WIDTH_PX_MAX, |(half, _)| half.min(HALF_WIDTH_PX_MAX)))
 }
 
 fn ns(from: Timestamp, to: Timestamp) -> u64 {
@@ -203,7 +212,7 @@ impl Picture {
 
     /// Half the width of its wire, in pixels of the size that was looked at; at most 40.
     pub(crate) fn half_width_px(&self) -> f64 {
-        self.traced().half_width_px()
+        self.traced().half_width_px
     }
 
     /// How often the picture was halved before it was thinned: what follows is in pixels of that size.

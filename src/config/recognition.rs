@@ -112,7 +112,7 @@ pub struct Recognition {
     pub seed: u64,
     /// A budget in iterations instead of the time that the deadline leaves.
     pub iterations: Option<u64>,
-    /// A candidate with a higher fitness is no part. `None`: the recogniser's own threshold.
+    /// What has this fitness or more is no part. `None`: the recogniser's own threshold.
     pub fitness_max: Option<f64>,
     /// Threads that the two pictures of a pair are shared by, 1 or 2.
     pub threads: u8,

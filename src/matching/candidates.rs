@@ -142,16 +142,17 @@ impl Candidates {
     }
 }
 
-/// How far along a Hilbert curve over 4096 x 4096 pixels a pixel lies.
+/// How far along a Hilbert curve over as many pixels as a picture may have a pixel lies.
 pub fn curve(px: [f32; 2]) -> u32 {
-    let [mut x, mut y] = px.map(|v| v.clamp(0.0, 4095.0) as u32);
-    let (mut along, mut side) = (0, 2048);
+    const LAST: u32 = u16::MAX as u32;
+    let [mut x, mut y] = px.map(|v| v.clamp(0.0, LAST as f32) as u32);
+    let (mut along, mut side) = (0, LAST.div_ceil(2));
     while side > 0 {
         let (right, up) = ((x & side != 0) as u32, (y & side != 0) as u32);
         along += side * side * ((3 * right) ^ up);
         if up == 0 {
             if right == 1 {
-                (x, y) = (4095 - x, 4095 - y);
+                (x, y) = (LAST - x, LAST - y);
             }
             (x, y) = (y, x);
         }

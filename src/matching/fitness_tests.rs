@@ -1,6 +1,6 @@
 //! Each term alone can refuse a candidate; fast projection against the exact one.
 
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Vector2, Vector3};
 
 use super::*;
 use crate::matching::drawn::DrawnScene;
@@ -156,11 +156,12 @@ fn the_parabola_keeps_to_the_exact_projection() {
     for pose in &scene.left_from_part {
         let [a, b] = [0, 1].map(|k| pose * scene.model.anchors[k].position_mm);
         let exact = |t: f64| scene.rig.project_left(&(a + (b - a) * t)).unwrap();
-        let (from, middle, to) = (exact(0.0), exact(0.5), exact(1.0));
+        let [from, middle, to] = [0.0, 0.5, 1.0].map(exact);
+        let single = |px: Vector2<f64>| px.map(|v| v as f32).into();
+        let curve = Parabola::new(single(from), single(middle), single(to));
         for k in 1..20 {
             let t = k as f64 / 20.0;
-            let bend = (from + to - middle * 2.0) * 2.0;
-            let at = from + (to - from - bend) * t + bend * (t * t);
+            let at = Vector2::from(curve.at(2.0 * t as f32 - 1.0).map(f64::from));
             let along = (to - from).normalize();
             worst = worst.max((at - exact(t)).perp(&along).abs());
         }

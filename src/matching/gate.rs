@@ -132,7 +132,7 @@ impl Gate {
         &self.nodes
     }
 
-    /// Whether there were more than `nodes_max`.
+    /// Whether there were more than `nodes_max`, so that some were left out.
     pub fn is_truncated(&self) -> bool {
         self.truncated
     }
@@ -229,7 +229,7 @@ fn thickness_fits(
 }
 
 /// Image nodes of a picture that memory is reserved for; more are taken at the price of an allocation.
-pub(super) const ROW: usize = 1024;
+pub(super) const ROW: usize = 4096;
 
 /// Two image nodes as one point; `None` where no point in space looks like both.
 pub(super) fn stereo_node(

@@ -27,10 +27,10 @@
 //! * Algorithm 1, `for stop_alg() ≠ True`: read: while.
 //! * Algorithm 3 ends without `return s`. Read as Algorithm 1.
 //! * Table III calls the new harmony number 5 beside the old number 5: it has taken its place.
-//! * Equations (2) and (4), "NI is the number of solutions", `gn` in the denominator's place of `generation`: read, as in
-//!   the source (doi:10.1016/j.amc.2006.11.033): NI is the number of improvisations, gn counts them.
-//! * Algorithm 2 (binarization) sets 0 inside of the range as printed, and figure 5 shows the object black on white
-//!   while the text makes it 1; see [`vision::binarize`](crate::vision::binarize).
+//! * Equations (2) and (4), "NI is the number of solutions", and `gen` on the left is `gn` on the right: read, as in the
+//!   source (doi:10.1016/j.amc.2006.11.033): NI is the number of improvisations, gn counts them.
+//! * Algorithm 2 (binarization) compares the wrong way round, paints white and black where the text says 1 and 0, its
+//!   loops run one pixel too far, and y ends where x = Image.height; figure 5 shows the object black on white; see [`vision::binarize`](crate::vision::binarize).
 //!
 //! # What is added
 //! A scene holds many parts, and Harmony Search stalls. So every distinct match under the threshold that is met goes
@@ -50,7 +50,7 @@
 //! let scene = DrawnScene::new(2, 3, 1); // three rods, two nodes each
 //! let candidates = &scene.candidates;
 //! let mut table = LengthTable::new(candidates.all().len());
-//! table.fill(&scene.model, candidates, 6.0, true);
+//! table.fill(&scene.model, candidates, 6.0, true, &Budget::Iterations(0));
 //! let mut pool = Pool::Gated { candidates, table: &table, by_length: true };
 //! let (mut found, mut used) = (Found::new(16), 0);
 //! let mut dice = Dice(rand_pcg::Pcg32::seed_from_u64(1));

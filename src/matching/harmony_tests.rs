@@ -7,6 +7,7 @@ use crate::matching::drawn::DrawnScene;
 use crate::matching::gate::{GateParams, Mode};
 use crate::matching::length_table::LengthTable;
 use crate::matching::open::{OpenPairs, Pictures};
+use crate::time::{Budget, Timestamp};
 
 const FITNESS_MAX: f64 = 0.6;
 
@@ -15,7 +16,7 @@ fn run(scene: &DrawnScene, params: Params, mode: Mode, n: u64, seed: u64) -> (Fo
     let mut found = Found::new(64);
     let mut table = LengthTable::new(scene.candidates.all().len());
     let by_length = params.by_length;
-    table.fill(&scene.model, &scene.candidates, 6.0, by_length);
+    assert!(table.fill(&scene.model, &scene.candidates, 6.0, by_length, &Budget::Iterations(0)));
     let mut pairs = OpenPairs::new(GateParams { mode: Mode::None, ..GateParams::default() });
     pairs.begin([&scene.nodes[0], &scene.nodes[1]]);
     let geometry = scene.rig.geometry();
@@ -106,4 +107,12 @@ fn a_better_harmony_takes_the_place_of_the_worst() {
     assert_eq!(memory.fitness, [10.0, 2.0, 53.0, 21.0, 17.0, 73.0]);
     assert_eq!(memory.column(0).nth(4), Some([7, 0]));
     assert_eq!(memory.worst, 5);
+}
+
+#[test]
+fn a_table_of_lengths_is_not_filled_once_time_is_over() {
+    let scene = DrawnScene::new(3, 5, 9);
+    let mut table = LengthTable::new(scene.candidates.all().len());
+    let mut is_filled = |budget| table.fill(&scene.model, &scene.candidates, 6.0, true, &budget);
+    assert!(is_filled(Budget::Iterations(0)) && !is_filled(Budget::Until(Timestamp(0))));
 }

@@ -9,6 +9,7 @@ use super::fitness::may_be;
 use super::problem::{ANCHORS_MAX, MatchModel};
 use super::rows::{self, CHUNK, for_bits};
 use crate::level::Level;
+use crate::time::Budget;
 
 /// Workspace that holds the table of one part and one pair of pictures.
 #[derive(Clone, Debug)]
@@ -50,8 +51,15 @@ impl LengthTable {
         }
     }
 
-    /// Lists the pairs. With `pairs` false only what looks like each anchor.
-    pub fn fill(&mut self, model: &MatchModel, candidates: &Candidates, tolerance_mm: f64, pairs: bool) {
+    /// Lists the pairs, with `pairs` false only what looks like each anchor; says whether that was done in time.
+    pub fn fill(
+        &mut self,
+        model: &MatchModel,
+        candidates: &Candidates,
+        tolerance_mm: f64,
+        pairs: bool,
+        budget: &Budget,
+    ) -> bool {
         self.hang(model);
         let all = candidates.all();
         self.candidates = all.len();
@@ -76,8 +84,11 @@ impl LengthTable {
             let (role, parents) = (model.anchors[anchor].role, model.anchors[parent].role);
             for (c, at) in all.iter().enumerate() {
                 self.from.push(self.items.len() as u32);
-                if !pairs || !at.explained || !may_be(parents, at.role) {
+                if !pairs || !at.explained || !may_be(parents, at.role) || self.items.len() == ITEMS_MAX {
                     continue;
+                }
+                if budget.is_over() {
+                    return false;
                 }
                 rows::within(self.level, candidates.points(), at.point_mm, &limits, &mut self.row);
                 for_bits(&self.row[..words], |n| {
@@ -91,6 +102,7 @@ impl LengthTable {
             }
         }
         self.from.push(self.items.len() as u32);
+        true
     }
 
     /// Orders the anchors along the spans, from the first.

@@ -10,6 +10,7 @@
 //! use nalgebra::{Isometry3, Point3, Vector3};
 //! use pickcell::matching::lines::{Lines, Params};
 //! use pickcell::rig::{CameraModel, Rig};
+//! use pickcell::time::Budget;
 //! use pickcell::vision::ridge::Stretch;
 //!
 //! let camera = CameraModel::pinhole(640, 480, 600.0, 320.0, 240.0);
@@ -24,7 +25,8 @@
 //! let right = seen(&|p| rig.project_right(p).unwrap(), 10.0, 60.0);
 //!
 //! let mut lines = Lines::new(Params::default(), 16);
-//! lines.run(&rig, [[&left].into_iter(), [&right].into_iter()], &Vector3::z(), 0.7);
+//! let mut looking = Budget::Iterations(0).looks(1.0); // takes all time it needs
+//! lines.run(&rig, [[&left].into_iter(), [&right].into_iter()], &Vector3::z(), 0.7, &mut looking);
 //! let line = lines.lines()[0];
 //! let wire = (at(60.0) - at(0.0)).normalize();
 //! assert!(line.along.cross(&wire).norm() < 1e-6);
@@ -38,6 +40,7 @@ use super::hypotheses::Hypothesis;
 use super::placement::motion_of_directions;
 use super::problem::{ANCHORS_MAX, CORNER_SIN_MIN};
 use crate::rig::{Rig, StereoGeometry};
+use crate::time::Watch;
 use crate::vision::ridge::Stretch;
 
 /// What lines need.
@@ -127,13 +130,15 @@ impl Lines {
         &self.lines
     }
 
-    /// Lists the lines that stretches of both pictures show, not steeper than `slope_sin_max` against `down`.
+    /// Lists the lines that stretches of both pictures show, not steeper than `slope_sin_max` against `down`, until time is
+    /// over.
     pub fn run<'a>(
         &mut self,
         rig: &Rig,
         stretches: [impl Iterator<Item = &'a Stretch>; 2],
         down: &Vector3<f64>,
         slope_sin_max: f64,
+        looking: &mut Watch,
     ) {
         let geometry = rig.geometry();
         let left_from_right = geometry.rotation.transpose();
@@ -163,6 +168,9 @@ impl Lines {
             }
         };
         for l in left.iter() {
+            if looking.is_over() {
+                return;
+            }
             for r in right.iter() {
                 let (a, b) = (l.rays[1] - l.rays[0], r.rays[1] - r.rays[0]);
                 let cos = a.dot(&b) / (a.norm() * b.norm());
@@ -178,15 +186,12 @@ impl Lines {
         }
     }
 
-    /// Adds the poses of part `part` that the lines hold to `pool`.
-    pub fn hypotheses(&self, part: usize, judge: &Judge, pool: &mut Vec<Hypothesis>) {
+    /// Adds the poses of part `part` that the lines hold to `pool`, until that is full or time is over.
+    pub fn hypotheses(&self, part: usize, judge: &Judge, looking: &mut Watch, pool: &mut Vec<Hypothesis>) {
         let model = judge.model;
         let mut keep = |pose: Option<Isometry3<f64>>| {
-            let Some(left_from_part) = pose else { return };
+            let Some(left_from_part) = pose.filter(|_| pool.len() < pool.capacity()) else { return };
             let Some(coverage) = judge.coverage(&left_from_part, self.params.coverage_min) else { return };
-            if pool.len() == pool.capacity() {
-                return;
-            }
             let fitness = judge.weights.missing * (1.0 - coverage)
                 + judge.weights.unmatched * model.anchors.len() as f64;
             pool.push(Hypothesis { part, left_from_part, fitness, nodes: [UNMATCHED; ANCHORS_MAX] });
@@ -195,12 +200,15 @@ impl Lines {
             let (leg, length_mm) = model.anchors[0].legs[0];
             let from = model.anchors[0].position_mm;
             for line in &self.lines {
+                if looking.is_over() {
+                    return;
+                }
                 self.places(line, length_mm, |begin| {
                     keep(motion_of_directions(&from, &line.at(begin), &[(leg, line.along)]))
                 });
             }
         } else {
-            self.corners(judge, &mut keep);
+            self.corners(judge, looking, &mut keep);
         }
     }
 
@@ -219,8 +227,11 @@ impl Lines {
     }
 
     /// Lays each corner of the model where two lines meet.
-    fn corners(&self, judge: &Judge, keep: &mut impl FnMut(Option<Isometry3<f64>>)) {
+    fn corners(&self, judge: &Judge, looking: &mut Watch, keep: &mut impl FnMut(Option<Isometry3<f64>>)) {
         for (i, a) in self.lines.iter().enumerate() {
+            if looking.is_over() {
+                return;
+            }
             for b in &self.lines[i + 1..] {
                 let Some((corner, places)) = meeting(a, b, self.params.corner_mm_max) else { continue };
                 for anchor in judge.model.anchors.iter().filter(|anchor| !anchor.is_repeated) {
@@ -342,6 +353,7 @@ mod tests {
     use crate::matching::problem::MatchModel;
     use crate::part::Part;
     use crate::rig::CameraModel;
+    use crate::time::{Budget, Spent};
     use crate::vision::bits::BitImage;
 
     const ROD: &str = "name = 'rod'\nthickness_mm = 3.0\n\
@@ -356,6 +368,15 @@ mod tests {
     /// Poses that the pieces of the part's wire hold, each seen from 0.2 to 0.9 of its length in the left and from 0.1
     /// to 0.9 in the right picture, on masks that are all foreground.
     fn poses(
+        part: &str,
+        pose: &Isometry3<f64>,
+        pieces: &[[Point3<f64>; 2]],
+    ) -> (MatchModel, Vec<Hypothesis>) {
+        poses_in_time(Budget::Iterations(0), part, pose, pieces)
+    }
+
+    fn poses_in_time(
+        budget: Budget,
         part: &str,
         pose: &Isometry3<f64>,
         pieces: &[[Point3<f64>; 2]],
@@ -375,7 +396,8 @@ mod tests {
         let right: Vec<_> =
             pieces.iter().map(|p| stretch(0.1, p, &|p| rig.project_right(p).unwrap())).collect();
         let mut lines = Lines::new(Params::default(), 64);
-        lines.run(&rig, [left.iter(), right.iter()], &Vector3::z(), 0.8);
+        let mut looking = budget.looks(1.0);
+        lines.run(&rig, [left.iter(), right.iter()], &Vector3::z(), 0.8, &mut looking);
         let mut pool = Vec::with_capacity(256);
         let judge = Judge {
             rig: &rig,
@@ -385,7 +407,7 @@ mod tests {
             length_tolerance_mm: 6.0,
             level: crate::level::Level::detect(),
         };
-        lines.hypotheses(0, &judge, &mut pool);
+        lines.hypotheses(0, &judge, &mut looking, &mut pool);
         (model, pool)
     }
 
@@ -404,6 +426,18 @@ mod tests {
             let begin = pose.inverse() * h.left_from_part * ends[0];
             begin.y.hypot(begin.z) < 0.01
         }));
+    }
+
+    #[test]
+    fn nothing_is_looked_for_once_time_is_over() {
+        let pose = Isometry3::new(Vector3::new(5.0, -8.0, 500.0), Vector3::new(0.0, 0.1, 1.2));
+        let ends = [Point3::new(-45.0, 0.0, 0.0), Point3::new(45.0, 0.0, 0.0)];
+        // Over before the one line is found, before a part is laid along it, and after that.
+        let found = [0, 1, 2].map(|looks| {
+            let budget = Budget::Repeated(Spent { looks: Some(looks), ..Spent::default() });
+            poses_in_time(budget, ROD, &pose, &[ends]).1.len()
+        });
+        assert!(found[..2] == [0, 0] && found[2] > 0, "{found:?}");
     }
 
     #[test]

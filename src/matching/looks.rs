@@ -25,6 +25,18 @@ impl Parabola {
             [middle[k] + UP, (to[k] - from[k]) * 0.5, bend]
         }))
     }
+
+    /// The point at `s`, moved by [`UP`].
+    #[inline]
+    fn moved_up(&self, s: f32) -> [f32; 2] {
+        self.0.map(|[c0, c1, c2]| c0 + s * (c1 + s * c2))
+    }
+
+    /// The point at `s`, -1 to 1.
+    #[cfg(test)]
+    pub(super) fn at(&self, s: f32) -> [f32; 2] {
+        self.moved_up(s).map(|v| v - UP)
+    }
 }
 
 /// Background among `looks` evenly spaced pixels of a curve; once they are more than `enough`, how many more does not
@@ -43,13 +55,12 @@ pub fn missing_on(level: Level, mask: &BitImage, curve: &Parabola, looks: u32, e
 fn missing_plain(mask: &BitImage, curve: &Parabola, looks: u32, enough: u32) -> u32 {
     /// Looks that are skipped at first: between nodes that nothing joins most is background, wherever one looks.
     const STRIDE: u32 = 8;
-    let Parabola([[x0, x1, x2], [y0, y1, y2]]) = *curve;
     let step = 1.0 / looks as f32;
     let mut missing = 0;
     for first in 0..STRIDE.min(looks) {
         for k in (first..looks).step_by(STRIDE as usize) {
             let s = (2 * k as i32 + 1 - looks as i32) as f32 * step;
-            let (x, y) = (x0 + s * (x1 + s * x2), y0 + s * (y1 + s * y2));
+            let [x, y] = curve.moved_up(s);
             // Far away is outside, also where the subtraction wraps.
             missing += !mask.get((x as i32).wrapping_sub(1024), (y as i32).wrapping_sub(1024)) as u32;
         }

@@ -9,7 +9,7 @@ use nalgebra::Vector2;
 use crate::pose::section::mask_run;
 use crate::rig::{CameraModel, UndistortTable};
 use crate::vision::bits::BitImage;
-use crate::vision::graph::{Graph, NONE, NodeKind};
+use crate::vision::graph::{Graph, NONE, NodeKind, Refusal};
 
 /// Most directions kept of one node.
 pub const LEGS_MAX: usize = 5;
@@ -91,13 +91,13 @@ pub struct Params {
     pub bend_angle_rad_min: f64,
     /// Length over which a direction is measured, in half thicknesses.
     pub reach_half_thicknesses: f64,
-    /// Most image nodes of a picture.
+    /// Most image nodes of a picture, bends too.
     pub nodes_max: usize,
 }
 
 impl Default for Params {
     fn default() -> Self {
-        Self { bend_angle_rad_min: 25f64.to_radians(), reach_half_thicknesses: 5.0, nodes_max: 1024 }
+        Self { bend_angle_rad_min: 25f64.to_radians(), reach_half_thicknesses: 5.0, nodes_max: 4096 }
     }
 }
 
@@ -120,10 +120,17 @@ impl ImageNodes {
         &self.nodes
     }
 
-    /// Lists the nodes of `graph`; `rays` of the camera that it was seen with. Nodes over `nodes_max` are left out; bends come last.
-    pub fn run(&mut self, graph: &Graph, mask: &BitImage, rays: &UndistortTable) {
+    /// Lists the nodes of `graph`, bends last; `rays` of the camera that it was seen with.
+    ///
+    /// # Errors
+    /// Where there are more than `nodes_max`.
+    pub fn run(&mut self, graph: &Graph, mask: &BitImage, rays: &UndistortTable) -> Result<(), Refusal> {
         self.nodes.clear();
-        for node in graph.nodes.iter().take(self.params.nodes_max) {
+        let too_many = Refusal::TooManyNodes { nodes_max: self.params.nodes_max as u32 };
+        if graph.nodes.len() > self.params.nodes_max {
+            return Err(too_many);
+        }
+        for node in &graph.nodes {
             let position_px = vector(node.position_px);
             self.nodes.push(ImageNode {
                 role: match node.kind {
@@ -145,8 +152,12 @@ impl ImageNodes {
                 continue;
             }
             self.find_bends(chain, reach);
+            if self.nodes.len() + self.bends.len() > self.params.nodes_max {
+                return Err(too_many);
+            }
             self.add_chain(edge.nodes, chain, reach, edge.half_thickness_px as f64, mask, rays);
         }
+        Ok(())
     }
 
     fn reach_px(&self, half_thickness_px: f64) -> f64 {
@@ -223,9 +234,6 @@ impl ImageNodes {
             }
         }
         for k in 0..self.bends.len() {
-            if self.nodes.len() == self.params.nodes_max {
-                return;
-            }
             let (at, corner) = self.bends[k];
             let before = if k == 0 { 0 } else { self.bends[k - 1].0 };
             let after = self.bends.get(k + 1).map_or(last, |b| b.0);

@@ -82,7 +82,7 @@ pub enum Method {
 pub struct Params {
     /// Which.
     pub method: Method,
-    /// Matches of this fitness or more are none.
+    /// Matches of this fitness or more are none; nor are parts, once they are fitted.
     pub fitness_max: f64,
     /// Two nodes' distance may differ from the model's by this many mm.
     pub length_tolerance_mm: f64,
@@ -202,9 +202,9 @@ impl Search {
         self.iterations
     }
 
-    /// Whether the budget was spent before the last run was through.
+    /// Whether the budget was spent before the last run was through, or there were more candidates than it looks through.
     pub fn is_out_of_time(&self) -> bool {
-        self.spent
+        self.spent || self.gate.is_truncated()
     }
 
     /// Begins with a new pair of pictures: runs the gate. `thickness_mm`: the thinnest and the thickest part.
@@ -312,7 +312,11 @@ impl Search {
         for (part, turn) in turns.iter_mut().enumerate().filter(|(_, t)| !t.done) {
             if open.is_none() {
                 let tolerance_mm = params.length_tolerance_mm;
-                turn.table.fill(judge_of(part).model, candidates, tolerance_mm, by_length);
+                let model = judge_of(part).model;
+                if !turn.table.fill(model, candidates, tolerance_mm, by_length, &budget) {
+                    self.spent = true;
+                    return;
+                }
             }
         }
         while turns.iter().any(|t| !t.done) {

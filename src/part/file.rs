@@ -9,7 +9,7 @@ use serde::Deserialize;
 
 use super::{
     ANCHORS_MAX, BEND_RADIUS_PER_THICKNESS, EDGES_MAX, NODES_MAX, NodeKind, Part, PartEdge, PartError,
-    PartGrasp, PartNode, VIAS_MAX,
+    PartGrasp, PartNode,
 };
 
 /// Parts are thin things on a table; a coordinate beyond this is a slip of units.
@@ -187,13 +187,6 @@ impl Check<'_> {
             };
             let (from, to) = (find("from", &text.from)?, find("to", &text.to)?);
             let key = format!("edge {} ({} to {}): via", i + 1, text.from, text.to);
-            if text.via.len() > VIAS_MAX {
-                return Err(self.value(
-                    &key,
-                    format!("{} points", text.via.len()),
-                    &format!("at most {VIAS_MAX}"),
-                ));
-            }
             let via = text.via.iter().map(|&Triple(p)| self.point(&key, p)).collect::<Result<Vec<_>, _>>()?;
             let edge = PartEdge { from, to, via };
             if edges.iter().any(|e| *e == edge || *e == reversed(&edge)) {

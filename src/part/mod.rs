@@ -26,8 +26,6 @@ pub use error::PartError;
 pub const NODES_MAX: usize = 32;
 /// Edges a part may have.
 pub const EDGES_MAX: usize = 64;
-/// `via` points an edge may have.
-pub const VIAS_MAX: usize = 64;
 /// Most nodes and `via` points of a part together: what the search keeps memory for.
 pub const ANCHORS_MAX: usize = 32;
 /// Bend radius of the wire's axis over its thickness, where the part file does not say: what wire of 2.5 mm bent

@@ -218,6 +218,5 @@ fn more_nodes_and_bends_than_the_search_has_room_for_are_refused() {
     };
     let error = Part::parse(&zigzag(31), "z.toml").unwrap_err().to_string();
     assert!(error.contains("2 nodes and 31 via points; a part has 32 of both together at most"), "{error}");
-    let message = Part::parse(&zigzag(30), "z.toml").map(|p| p.edges[0].via.len()).map_err(|e| e.to_string());
-    assert!(!message.is_err_and(|m| m.contains("of both together")));
+    assert_eq!(Part::parse(&zigzag(30), "z.toml").unwrap().edges[0].via.len(), 30);
 }

@@ -43,6 +43,7 @@ use crate::frame::{FramePair, LumaView};
 use crate::grasp::{self, Blocked, Placed};
 use crate::hands;
 use crate::level::Level;
+use crate::matching::gate::GateParams;
 use crate::matching::hypotheses::{self, Hypothesis, SingleNode};
 use crate::matching::lines::{self, Lines};
 use crate::matching::search::Search;
@@ -124,14 +125,12 @@ impl Recognizer {
         let cameras = halvings(rig.left).zip(halvings(rig.right));
         let scales = cameras.map(|(left, right)| Scale::new(Rig { left, right, ..rig }, params.ridges));
         let scales = scales.collect();
+        let depth_mm = depth_mm(&rig, &parts);
         let parts: Vec<Prepared> = parts.into_iter().map(Prepared::new).collect();
         Ok(Self {
-            search: Search::new(params.search, params.gate, parts.len()),
+            search: Search::new(params.search, GateParams { depth_mm, ..params.gate }, parts.len()),
             pool: Vec::with_capacity(HYPOTHESES_MAX),
-            lines: Lines::new(
-                lines::Params { depth_mm: params.gate.depth_mm, ..params.lines },
-                params.ridges.stretches_max,
-            ),
+            lines: Lines::new(lines::Params { depth_mm, ..params.lines }, params.ridges.stretches_max),
             explanations: Explanations::new(lit(&params), &rig, params.nodes.nodes_max, &parts),
             unknown: Unknown::new(&pictures),
             gloss: Gloss::new(Level::detect()),
@@ -193,7 +192,7 @@ impl Recognizer {
         if all_looked_at && !looking.is_over() && self.search_ends(looking) {
             all_looked_at = self.explain(pair, true, looking);
         }
-        if all_looked_at && !looking.is_over() && self.search_ridges(pair) {
+        if all_looked_at && !looking.is_over() && self.search_ridges(pair, looking) {
             all_looked_at = self.explain(pair, true, looking);
         }
         all_looked_at &= !looking.is_over();
@@ -258,7 +257,7 @@ impl Recognizer {
         for index in 0..parts.len() {
             let judge = judge_of(index);
             for (n, node) in search.near_nodes() {
-                if budget.is_spent(out.spent.iterations) {
+                if budget.is_spent(out.spent.iterations) || budget.is_over() {
                     out.out_of_time = true;
                     break;
                 }
@@ -272,6 +271,8 @@ impl Recognizer {
         search.run_by_chance(rig, [left, right], judge_of, budget, &mut out.spent.iterations, seed);
         out.out_of_time |= search.is_out_of_time();
         let matches: usize = (0..parts.len()).map(|p| search.matches(p).len()).sum();
+        // What there is no room for is not looked at.
+        out.out_of_time |= pool.len() == HYPOTHESES_MAX || pool.len() + matches > HYPOTHESES_MAX;
         pool.truncate(HYPOTHESES_MAX.saturating_sub(matches));
         for (index, prepared) in parts.iter().enumerate() {
             for found in search.matches(index) {
@@ -310,7 +311,7 @@ impl Recognizer {
 
     /// Fills the pool with rough poses that straight wire holds which nothing explains for certain; says whether there
     /// are any.
-    fn search_ridges(&mut self, pair: &FramePair) -> bool {
+    fn search_ridges(&mut self, pair: &FramePair, looking: &mut Watch) -> bool {
         // A little that is amiss with a part is no reason to look; but who looks, looks at that as well.
         let half_px = self.pictures.each_ref().map(Picture::half_width_px);
         for nearly in [true, false] {
@@ -342,10 +343,10 @@ impl Recognizer {
             let claims = &claims[side];
             ridges[side].stretches().iter().filter(move |s| !is_claimed(claims, s))
         });
-        lines.run(rig, [left, right], &down, slope_sin_max);
+        lines.run(rig, [left, right], &down, slope_sin_max, looking);
         for (index, prepared) in parts.iter().enumerate() {
             let judge = prepared.judge(rig, pictures, params);
-            lines.hypotheses(index, &judge, pool);
+            lines.hypotheses(index, &judge, looking, pool);
         }
         let slope_rad_max = params.slope_rad_max;
         pool.retain(|h| !parts[h.part].is_too_steep(&h.left_from_part, &down, slope_rad_max));
@@ -383,7 +384,10 @@ impl Recognizer {
         let views = views(&self.pictures, rig, pair, &self.params, self.outline_256);
         let Some(views) = views else { return true };
         let scene = Scene {
+            rig,
             parts: &self.parts,
+            fitness_max: self.params.search.fitness_max,
+            weights: &self.params.weights,
             views,
             image_nodes: self.pictures.each_ref().map(Picture::nodes),
             stereo_nodes: self.search.nodes(),
@@ -464,6 +468,14 @@ impl Recognizer {
             NoPick::NothingRecognised
         })
     }
+}
+
+/// How far away parts can be seen at all: not nearer than half the baseline, where no lens shows both cameras the same, and
+/// not so far that the thickest is thinner than a pixel.
+fn depth_mm(rig: &Rig, parts: &[Part]) -> [f64; 2] {
+    let thickest_mm = parts.iter().map(|part| part.thickness_mm).fold(0.0, f64::max);
+    let focal_px = [rig.left, rig.right].iter().flat_map(|c| [c.fx, c.fy]).fold(0.0, f64::max);
+    [rig.right_from_left.translation.vector.norm() / 2.0, focal_px * thickest_mm]
 }
 
 /// That of the size in which the pictures were looked at.

@@ -19,7 +19,7 @@ pub struct Params {
     pub graph: Option<graph::Params>,
     /// How bends are found.
     pub nodes: nodes::Params,
-    /// Which image nodes may show the same point.
+    /// Which image nodes may show the same point; their depth follows from rig and parts.
     pub gate: GateParams,
     /// Weights of the fitness terms.
     pub weights: Weights,
@@ -29,7 +29,7 @@ pub struct Params {
     pub single: SingleParams,
     /// How wires that touch are told apart.
     pub ridges: ridge::Params,
-    /// What straight wire in space needs to hold a pose.
+    /// What straight wire in space needs to hold a pose; its depth follows from rig and parts.
     pub lines: lines::Params,
     /// How poses are refined.
     pub refine: refine::Params,

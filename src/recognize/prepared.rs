@@ -2,13 +2,15 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 
 use super::explanations::Explanation;
 use super::params::Params;
+use super::result::Seen;
 use crate::grasp::Placed;
 use crate::level::Level;
 use crate::matching::fitness::Judge;
+use crate::matching::nodes::{ImageNode, NodeRole};
 use crate::matching::problem::MatchModel;
 use crate::matching::select;
 use crate::part::Part;
@@ -16,6 +18,9 @@ use crate::picture::Picture;
 use crate::pose::model::PoseModel;
 use crate::pose::verify::Stop;
 use crate::rig::Rig;
+
+/// Distance in pixels within which an image node is a part's end.
+pub(super) const SAME_END_PX: f64 = 5.0;
 
 /// A part and all that is worked out of it beforehand.
 pub(super) struct Prepared {
@@ -60,6 +65,31 @@ impl Prepared {
             length_tolerance_mm: params.search.length_tolerance_mm,
             level: Level::detect(),
         }
+    }
+
+    /// Its nodes at a pose: in the left camera's frame, in both pictures, and whether these show one there.
+    pub(super) fn nodes_seen<'a>(
+        &'a self,
+        rig: &'a Rig,
+        pose: &'a Isometry3<f64>,
+        image_nodes: [&'a [ImageNode]; 2],
+    ) -> impl Iterator<Item = (Point3<f64>, [Vector2<f64>; 2], Seen)> {
+        let sees = move |side: usize, px: &Vector2<f64>| {
+            image_nodes[side]
+                .iter()
+                .any(|n| n.role != NodeRole::Bend && (n.position_px - px).norm() < SAME_END_PX)
+        };
+        self.part.nodes.iter().map(move |node| {
+            let left_mm = pose * node.position_mm;
+            let px = [rig.project_left(&left_mm), rig.project_right(&left_mm)].map(Option::unwrap_or_default);
+            let seen = match (sees(0, &px[0]), sees(1, &px[1])) {
+                (true, true) => Seen::Both,
+                (true, false) => Seen::Left,
+                (false, true) => Seen::Right,
+                (false, false) => Seen::None,
+            };
+            (left_mm, px, seen)
+        })
     }
 
     /// Length of wire that must be seen of it, in radii.

@@ -139,7 +139,7 @@ pub struct FoundPart {
     pub sigma_axis_rad: f64,
     /// Why it cannot be taken.
     pub blocked: Option<Blocked>,
-    /// Iterations of the search that found it.
+    /// Iterations of the searches of its pair.
     pub iterations: u64,
     /// Whether nothing speaks against it, see [`crate::matching::select::is_sound`].
     pub sound: bool,

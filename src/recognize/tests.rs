@@ -110,3 +110,48 @@ fn a_wall_of_light_does_not_make_thin_wire_thick() {
     assert_eq!(recognizer.pictures().each_ref().map(Picture::halvings), [0, 0]);
     assert!(without > 5 && with == without, "{with} of {without}");
 }
+
+#[test]
+fn what_has_the_largest_fitness_allowed_is_no_part() {
+    let (session, rig) = conveyor();
+    let pair = frames(&session, 0, [0, 0]);
+    let parts_under = |fitness_max| {
+        let mut params = Params::default();
+        params.search.fitness_max = fitness_max;
+        run(&mut recognizer_with(params, rig), &pair).parts
+    };
+    let all = parts_under(1.0);
+    let few = parts_under(0.05);
+    assert!(all.iter().any(|part| part.fitness > 0.05) && !few.is_empty());
+    assert!(few.len() < all.len() && few.iter().all(|part| part.fitness < 0.05), "{few:?}");
+    assert_eq!(parts_under(1e-6).len(), 0);
+}
+
+#[test]
+fn parts_may_be_of_any_size() {
+    let (session, rig) = conveyor();
+    let rod = Part::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts/rod-90.toml")).unwrap();
+    let pair = frames(&session, 0, [0, 0]);
+    let as_filed = run(&mut recognizer(rig), &pair).parts;
+    // Cameras ten times as far apart, and a part ten times as large: the same pictures.
+    let large = |v: f64| 10.0 * v;
+    let mut large_rig = rig;
+    large_rig.right_from_left.translation.vector *= 10.0;
+    let mut large_rod = rod.clone();
+    (large_rod.thickness_mm, large_rod.grasp.position_mm) =
+        (large(rod.thickness_mm), rod.grasp.position_mm * 10.0);
+    large_rod.nodes.iter_mut().for_each(|node| node.position_mm *= 10.0);
+    let mut recognizer = Recognizer::new(Params::default(), large_rig, vec![large_rod]).unwrap();
+    let found = run(&mut recognizer, &pair).parts;
+    let is_there = |small: &FoundPart| {
+        let at = small.left_from_part.translation.vector * 10.0;
+        found.iter().any(|p| (p.left_from_part.translation.vector - at).norm() < 20.0)
+    };
+    let there = as_filed.iter().filter(|part| is_there(part)).count();
+    assert!(there + 2 >= as_filed.len(), "{there} of {}: {found:?}", as_filed.len());
+    // And one far thicker than anything there.
+    let mut thick = rod;
+    thick.thickness_mm = 20.0;
+    let mut recognizer = Recognizer::new(Params::default(), rig, vec![thick]).unwrap();
+    assert_eq!(run(&mut recognizer, &pair).parts.len(), 0);
+}

@@ -8,9 +8,10 @@ mod competition;
 use arrayvec::ArrayVec;
 use nalgebra::{Isometry3, Matrix6, Vector2, Vector3};
 
-use super::prepared::Prepared;
+use super::prepared::{Prepared, SAME_END_PX};
+use super::result::Seen;
 use crate::matching::claims::ClaimMap;
-use crate::matching::fitness::UNMATCHED;
+use crate::matching::fitness::{UNMATCHED, Weights};
 use crate::matching::hypotheses::Hypothesis;
 use crate::matching::nodes::{ImageNode, NodeRole};
 use crate::matching::problem::StereoNode;
@@ -36,14 +37,14 @@ const SAME_COARSE_MM: [f64; 2] = [1.0, 8.0];
 const SAME_START_MM: f64 = 0.5;
 /// At how many places of a part at least it is asked whether its wire need be explained again, if it has as many stations.
 const PROBES_MIN: usize = 8;
-/// Distance in pixels within which an image node is a part's end.
-pub(super) const SAME_END_PX: f64 = 5.0;
 
 /// An explanation of some wire: a refined hypothesis.
 pub(super) struct Explanation {
     pub(super) hypothesis: Hypothesis,
     pub(super) fit: Fit,
     pub(super) verdict: Verdict,
+    /// That of the fitted part: its verdict's terms and the nodes that no picture shows.
+    pub(super) fitness: f64,
     /// See [`Refine::covariance`].
     pub(super) covariance: Matrix6<f64>,
     /// Where its free ends are expected, left and right, that both pictures show.
@@ -69,7 +70,11 @@ pub(super) struct Explanation {
 
 /// What hypotheses are held against.
 pub(super) struct Scene<'a> {
+    pub(super) rig: &'a Rig,
     pub(super) parts: &'a [Prepared],
+    /// Parts of this fitness or more are none.
+    pub(super) fitness_max: f64,
+    pub(super) weights: &'a Weights,
     pub(super) views: [View<'a>; 2],
     /// Nodes of the left and the right picture.
     pub(super) image_nodes: [&'a [ImageNode]; 2],
@@ -122,6 +127,7 @@ impl Explanations {
             hypothesis: Hypothesis::default(),
             fit: Fit::default(),
             verdict: Verdict::with_room(stations.min(refine::STATIONS_MAX), stops),
+            fitness: 0.0,
             covariance: Matrix6::zeros(),
             ends_px: ArrayVec::new(),
             has_ends: false,
@@ -270,6 +276,12 @@ impl Explanations {
         (explanation.has_ends, explanation.has_claimed, explanation.is_settled) = (false, false, false);
         let verdict = &mut explanation.verdict;
         verify(&self.refine, model, &prepared.stops, &fit.left_from_part, &scene.views, verdict);
+        let unseen =
+            prepared.nodes_seen(scene.rig, pose, scene.image_nodes).filter(|(.., seen)| *seen == Seen::None);
+        explanation.fitness = verdict.terms(unseen.count()).fitness(scene.weights);
+        if explanation.fitness >= scene.fitness_max {
+            return None;
+        }
         explanation.overrun_mm = verdict.overrun_mm;
         explanation.covariance = self.refine.covariance(model, &fit, &scene.views);
         explanation.ends_px.clear();

@@ -142,19 +142,19 @@ pub enum Refusal {
 /// Parameters of the graph: its limits, which are its memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Params {
-    /// Most end points and junctions before spurs are cut; 2048 at 640x480.
+    /// Most end points and junctions before spurs are cut; 2048 by default, as many as a search looks through in its time.
     pub nodes_max: u32,
-    /// Most edges before spurs are cut; 4096 at 640x480.
+    /// Most edges before spurs are cut; 4096 by default.
     pub edges_max: u32,
     /// Most skeleton pixels; 32768 at 640x480.
     pub points_max: u32,
 }
 
 impl Params {
-    /// The default limits for a picture size: those of 640x480, scaled with the area where that is larger.
+    /// The default limits for a picture size: wire is longer in more pixels, but there are not more parts.
     pub fn for_size(width: usize, height: usize) -> Self {
         let scale = (width * height).div_ceil(640 * 480).max(1) as u32;
-        Self { nodes_max: 2048 * scale, edges_max: 4096 * scale, points_max: 32768 * scale }
+        Self { nodes_max: 2048, edges_max: 4096, points_max: 32768 * scale }
     }
 }
 
