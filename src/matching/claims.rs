@@ -143,6 +143,11 @@ impl ClaimMap {
         self.is_claimed_at(&piece.expected_px, &piece.across)
     }
 
+    /// Whether a place lies on claimed wire of any direction.
+    pub fn is_claimed_at_all(&self, px: &Vector2<f64>) -> bool {
+        self.at(px) != 0
+    }
+
     /// Whether a pixel, column and row, lies on claimed wire.
     pub fn is_claimed_by_any(&self, [x, y]: [u16; 2]) -> bool {
         // The nearest cell: a pixel more, rounded down.

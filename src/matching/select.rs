@@ -61,6 +61,9 @@ const MISFIT_USUAL: f64 = 0.6;
 /// From this misfit on the pictures contradict the pose.
 const MISFIT_MAX: f64 = 1.5;
 
+/// From so many pixels on an end that is seen beside its place leaves doubt.
+const END_FARTHEST_PX_MAX: f64 = 2.0;
+
 /// Length in mm of the wire that an explanation shows and nobody has claimed, left and right; and the length on which it
 /// needs wire that others have claimed, the mean of both pictures.
 fn free_and_claimed_mm(model: &PoseModel, verdict: &Verdict, claims: &[ClaimMap; 2]) -> ([f64; 2], f64) {
@@ -108,9 +111,13 @@ pub fn is_anchored(fit: &Fit, verdict: &Verdict, overrun_mm: f64) -> bool {
     verdict.ends_in_both > 0 && verdict.offset_px < 0.6 && overrun_mm == 0.0 && fits(fit, verdict)
 }
 
-/// Whether ends that are seen are where they should be, and all wire is there.
+/// Whether ends that are seen are where they should be, and all wire is there. One that is seen far off may belong to a
+/// neighbour; or the others do.
 fn fits(fit: &Fit, verdict: &Verdict) -> bool {
-    verdict.end_offset_px < 1.0 && verdict.missing.iter().all(|m| *m < 0.02) && fit.misfit < MISFIT_MAX
+    verdict.end_offset_px < 1.0
+        && verdict.end_farthest_px < END_FARTHEST_PX_MAX
+        && verdict.missing.iter().all(|m| *m < 0.02)
+        && fit.misfit < MISFIT_MAX
 }
 
 /// How far wire goes on beyond an explanation that nobody has claimed, in mm.
@@ -222,6 +229,22 @@ mod tests {
         assert_eq!(left_mm(&claims), (0.0, true));
         claims[1].clear();
         assert_eq!(left_mm(&claims), (2.0, false));
+    }
+
+    #[test]
+    fn one_end_that_is_seen_far_off_leaves_doubt() {
+        let settled = |end_farthest_px: f64| {
+            let verdict = Verdict {
+                ends_in_both: 1,
+                ends_seen: 3,
+                end_offset_px: 0.1,
+                end_farthest_px,
+                ..Verdict::default()
+            };
+            let fit = Fit { misfit: 0.9, ..Fit::default() };
+            [is_sound(&fit, &verdict, 0.0), is_anchored(&fit, &verdict, 0.0)]
+        };
+        assert_eq!([0.4, 4.2].map(settled), [[true; 2], [false; 2]]);
     }
 
     #[test]

@@ -60,6 +60,8 @@ pub struct Verdict {
     pub ends_in_both: u32,
     /// Second largest distance of a seen end from the expected one, in pixels: one alone may belong to a neighbour.
     pub end_offset_px: f64,
+    /// The largest such distance.
+    pub end_farthest_px: f64,
     /// Sum of the distances of all seen ends from the expected ones, in pixels.
     pub ends_off_px: f64,
     /// Sum over hidden ends of how far the mask goes on beyond them, in pixels.
@@ -192,19 +194,19 @@ pub(super) fn sight_of(sighting: &Sighting) -> (Sight, Option<f64>) {
 }
 
 fn judge_ends(refine: &Refine, verdict: &mut Verdict) {
-    (verdict.ends_seen, verdict.end_offset_px, verdict.ends_off_px) = (0, 0.0, 0.0);
+    (verdict.ends_seen, verdict.end_offset_px, verdict.end_farthest_px, verdict.ends_off_px) =
+        (0, 0.0, 0.0, 0.0);
     let shown = |end: &&[Option<EndSighting>; 2]| end.iter().flatten().any(|e| e.beyond_px.is_some());
     verdict.ends_shown = refine.ends().iter().filter(shown).count() as u32;
     let in_both =
         |end: &&[Option<EndSighting>; 2]| end.iter().all(|side| side.is_some_and(|e| e.beyond_px.is_some()));
     verdict.ends_in_both = refine.ends().iter().filter(in_both).count() as u32;
-    let mut largest: f64 = 0.0;
     verdict.hidden_px = refine.ends().iter().flatten().flatten().map(|e| e.mask_beyond_px).sum();
     for beyond in refine.ends().iter().flatten().flatten().filter_map(|e| e.beyond_px) {
         verdict.ends_seen += 1;
         verdict.ends_off_px += beyond.abs();
-        verdict.end_offset_px = verdict.end_offset_px.max(beyond.abs().min(largest));
-        largest = largest.max(beyond.abs());
+        verdict.end_offset_px = verdict.end_offset_px.max(beyond.abs().min(verdict.end_farthest_px));
+        verdict.end_farthest_px = verdict.end_farthest_px.max(beyond.abs());
     }
 }
 

@@ -431,7 +431,9 @@ impl Recognizer {
                 let prepared = &parts[found.part];
                 let taken = Taken { params: &params.grasp, rig, prepared, explanation, found };
                 match in_time {
-                    true => unknown.is_in_the_way(&taken).then_some(Blocked::Unknown),
+                    true => unknown
+                        .is_in_the_way(&taken, pictures, explanations.claims())
+                        .then_some(Blocked::Unknown),
                     false => (!taken.stands_alone(pictures)).then_some(Blocked::OutOfTime),
                 }
             });

@@ -4,7 +4,7 @@
 //! of a grasp, or beside a place where something crosses the part, the part is left. Was not all wire looked at, because
 //! time was over, much is unknown, and only a part that stands alone is taken.
 
-use nalgebra::Vector2;
+use nalgebra::{UnitQuaternion, Vector2, Vector3};
 
 use super::explanations::Explanation;
 use super::prepared::Prepared;
@@ -15,11 +15,16 @@ use crate::matching::select;
 use crate::picture::Picture;
 use crate::pose::verify::{PieceSight, Sight};
 use crate::rig::Rig;
+use crate::vision::bits::nearest;
 
 /// In half widths of the wire: nearer to the middle of one of its pieces, which are two apart, the skeleton is its own; and
 /// within which the middle of another wire would touch it, half as many again for what thinning displaces.
 const OWN_HALF_WIDTHS: f64 = 1.5;
 const NEAR_HALF_WIDTHS: f64 = 3.0;
+/// Places across and along a finger at which the masks are asked; and a finger meets something where more than one in so many
+/// of them is object.
+const FINGER_SAMPLES: usize = 6;
+const FINGER_SHARE: usize = 8;
 
 /// Skeletons without what recognised parts claim.
 pub(super) struct Unknown {
@@ -54,7 +59,12 @@ impl Unknown {
     }
 
     /// Whether both pictures show wire where the fingers go, or where it can be what crosses the part.
-    pub(super) fn is_in_the_way(&self, taken: &Taken) -> bool {
+    pub(super) fn is_in_the_way(
+        &self,
+        taken: &Taken,
+        pictures: &[Picture; 2],
+        claims: &[ClaimMap; 2],
+    ) -> bool {
         let comes_near = |fingers: bool, pieces: fn(&[PieceSight; 2]) -> bool| {
             [0, 1].into_iter().all(|side: usize| {
                 taken.is_met(side, self.left_and_right_px[side].iter().copied(), fingers, pieces)
@@ -62,6 +72,7 @@ impl Unknown {
         };
         comes_near(true, |_| false)
             || comes_near(false, |piece| piece.iter().any(|p| p.sight != Sight::Clear))
+            || taken.is_met_by_mask(pictures, claims)
     }
 }
 
@@ -74,6 +85,34 @@ fn place(point: &[u16; 2]) -> Vector2<f64> {
 }
 
 impl Taken<'_> {
+    /// Whether both pictures show object where a finger comes down that no recognised part has: a wire that lies along the
+    /// part or ends on it has no skeleton of its own.
+    fn is_met_by_mask(&self, pictures: &[Picture; 2], claims: &[ClaimMap; 2]) -> bool {
+        let Self { params, rig, prepared, found, .. } = self;
+        let (gripper, grasp) = (&params.gripper, &found.grasp);
+        let at_mm = found.left_from_part * prepared.part.grasp.position_mm;
+        let left_from_out =
+            params.base_from_left.map_or(UnitQuaternion::identity(), |pose| pose.rotation.inverse());
+        let left_from_tool = left_from_out * grasp.orientation;
+        let share = |k: usize| (k as f64 + 0.5) / FINGER_SAMPLES as f64;
+        [-1.0, 1.0].iter().any(|side_of_wire| {
+            let mut unknown = [0; 2];
+            for (i, j) in (0..FINGER_SAMPLES).flat_map(|i| (0..FINGER_SAMPLES).map(move |j| (i, j))) {
+                let across_mm = grasp.opening_mm / 2.0 + share(i) * gripper.finger_thickness_mm;
+                let along_mm = (share(j) - 0.5) * gripper.finger_width_mm;
+                let place_mm = at_mm + left_from_tool * Vector3::new(side_of_wire * across_mm, along_mm, 0.0);
+                let px = [rig.project_left(&place_mm), rig.project_right(&place_mm)];
+                for (side, px) in px.iter().enumerate() {
+                    unknown[side] += usize::from(px.is_some_and(|px| {
+                        pictures[side].mask().get(nearest(px.x), nearest(px.y))
+                            && !claims[side].is_claimed_at_all(&px)
+                    }));
+                }
+            }
+            unknown.iter().all(|&unknown| FINGER_SHARE * unknown > FINGER_SAMPLES * FINGER_SAMPLES)
+        })
+    }
+
     /// Whether it can be taken whatever else there is: it is certain by itself, both pictures show all its wire, so that
     /// nothing lies on it, and no other near it or where the fingers go.
     pub(super) fn stands_alone(&self, pictures: &[Picture; 2]) -> bool {
@@ -134,11 +173,13 @@ mod tests {
     use crate::session::Session;
     use crate::time::Budget;
 
-    /// A part: whether it can be taken whatever else there is, whether something is in its way, and why it is blocked.
+    /// A part: whether it can be taken whatever else there is, whether something is in its way, by the masks alone, and why it is
+    /// blocked.
     #[derive(Debug)]
     struct Known {
         alone: bool,
         in_the_way: bool,
+        met_by_mask: bool,
         blocked: Option<Blocked>,
     }
 
@@ -164,7 +205,8 @@ mod tests {
                 let taken = Taken { params: &params.grasp, rig, prepared: &parts[0], explanation, found };
                 Known {
                     alone: taken.stands_alone(pictures),
-                    in_the_way: unknown.is_in_the_way(&taken),
+                    met_by_mask: taken.is_met_by_mask(pictures, claims),
+                    in_the_way: unknown.is_in_the_way(&taken, pictures, claims),
                     blocked: found.blocked,
                 }
             };
@@ -190,6 +232,23 @@ mod tests {
         let count = |parts: &[Known], which: fn(&Known) -> bool| parts.iter().filter(|p| which(p)).count();
         assert_eq!(count(&all_claimed, |p| p.in_the_way), 0, "{all_claimed:?}");
         assert!(count(&nothing_claimed, |p| p.in_the_way) >= 2, "{nothing_claimed:?}");
+    }
+
+    #[test]
+    fn what_the_masks_show_where_a_finger_comes_down_is_in_the_way_if_nobody_has_it() {
+        let (mut beset, mut met) = (0, 0);
+        for pair in [0, 1, 3, 5, 7] {
+            let [all_claimed, nothing_claimed] = of_pair(pair);
+            for (known, unknown) in all_claimed.iter().zip(&nothing_claimed) {
+                assert!(!known.met_by_mask, "pair {pair}: {known:?}");
+                assert!(!unknown.met_by_mask || unknown.in_the_way);
+                if known.blocked == Some(Blocked::NoRoom) {
+                    (beset, met) = (beset + 1, met + usize::from(unknown.met_by_mask));
+                }
+            }
+        }
+        // What is above or below the wire shows elsewhere.
+        assert!(beset > 5 && met > 2, "{met} of {beset}");
     }
 
     #[test]
