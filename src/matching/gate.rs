@@ -2,8 +2,8 @@
 //!
 //! The epipolar test comes first, in single precision and for all right nodes of a left one in a row; only what it
 //! leaves is triangulated. What is in a bin lies at about one depth: where enough ends and bends have but one partner,
-//! these tell it, and pairs far from it are left out. With [`Mode::None`] a pair is left out only where no match under
-//! the threshold could hold it: where it shows no point in space, or its gap alone costs more.
+//! these tell it, and pairs far from it are left out. With [`Mode::None`] a pair is left out only where it shows no point in
+//! space, or lies farther from the line than any camera that was calibrated once.
 
 use nalgebra::{Vector2, Vector3};
 
@@ -32,8 +32,8 @@ pub struct GateParams {
     pub gap_px_max: f64,
     /// The same where one of them is a junction, whose place depends on what crosses there.
     pub junction_gap_px_max: f64,
-    /// Distance from the epipolar line at most with [`Mode::None`], in pixels. The default costs two nodes alone a
-    /// fitness of 1.
+    /// Distance from the epipolar line at most with [`Mode::None`], in pixels. The default costs a match of two nodes a
+    /// fitness of 2.
     pub open_gap_px_max: f64,
     /// Depth of a part's points in the left camera's frame, in mm.
     pub depth_mm: [f64; 2],

@@ -3,7 +3,7 @@
 /// Standard deviations of what light does to the outlines of a wire, in radii.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shading {
-    /// What the whole part seems displaced across, with the lamp above it.
+    /// What the whole part seems displaced across, but for what a lamp at one side does to all parts.
     pub across: f64,
     /// A lamp at one side moves both borders of the lit region that way, so much for each radius that the light between
     /// them lies beside their middle: 1 to 2 on a matte cylinder, the more the sharper the picture is and the less
@@ -48,7 +48,7 @@ impl Default for Shading {
             turn_across: 0.035,
             turn_lift: 0.14,
             end: 0.025,
-            end_lift: 0.09,
+            end_lift: 0.15,
         }
     }
 }

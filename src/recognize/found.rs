@@ -1,19 +1,19 @@
 //! From an explanation that stands to what is told of the part.
 
+use nalgebra::Vector3;
+
 use super::Params;
 use super::explanations::Explanation;
 use super::prepared::Prepared;
 use super::result::{FoundNode, FoundPart};
-use super::spread::{displaced_by_lamp, sigmas};
+use super::spread::sigmas;
 use crate::grasp;
 use crate::matching::select;
 use crate::picture::Picture;
-use crate::pose::refine::View;
-use crate::pose::shading::Shading;
 use crate::rig::Rig;
 use crate::vision::halve::in_whole;
 
-/// The part that an explanation is.
+/// The part that an explanation is, which was moved by `beside_mm` for the lamp.
 #[expect(clippy::too_many_arguments)]
 pub(super) fn found(
     params: &Params,
@@ -21,15 +21,13 @@ pub(super) fn found(
     pictures: &[Picture; 2],
     prepared: &Prepared,
     e: &Explanation,
-    shading: &Shading,
-    views: &[View; 2],
+    beside_mm: &Vector3<f64>,
     iterations: u64,
 ) -> FoundPart {
     let pose = e.fit.left_from_part;
     let placed = prepared.placed(&pose, 0.0);
     let grasp = grasp::grasp_of(&params.grasp, &placed);
-    let beside = displaced_by_lamp(shading.across_per_skew, &prepared.pose_model, &e.verdict, views);
-    let (sigma_mm, sigma_axis_rad) = sigmas(&params.grasp, prepared, &pose, &e.covariance, &beside);
+    let (sigma_mm, sigma_axis_rad) = sigmas(&params.grasp, prepared, &pose, &e.covariance, beside_mm);
     let nodes = prepared.nodes_seen(rig, &pose, pictures.each_ref().map(Picture::nodes)).map(
         |(left_mm, px, seen)| {
             let [left_px, right_px] = px.map(|px| in_whole(px, pictures[0].halvings()));

@@ -28,6 +28,8 @@
 
 mod explanations;
 mod found;
+mod lamp;
+mod outcome;
 mod params;
 mod prepared;
 mod result;
@@ -36,11 +38,10 @@ mod unexplained;
 mod unknown;
 mod views;
 
-use arrayvec::ArrayVec;
 use nalgebra::Isometry3;
 
 use crate::frame::{FramePair, LumaView};
-use crate::grasp::{self, Blocked, Placed};
+use crate::grasp::{self, Blocked};
 use crate::hands;
 use crate::level::Level;
 use crate::matching::gate::GateParams;
@@ -57,13 +58,11 @@ use crate::vision::binarize;
 use crate::vision::ridge::{self, Ridges};
 
 use explanations::{Explanations, Scene};
-use found::found;
 pub use params::Params;
 use prepared::Prepared;
-use result::PARTS_MAX;
 pub use result::{FoundNode, FoundPart, NoPick, Recognition, Refusal, Seen, Side, StageTimes};
 use unexplained::{is_claimed, unexplained_px};
-use unknown::{Taken, Unknown};
+use unknown::Unknown;
 use views::{lit, outline_256, views};
 
 /// Shares of the time that is left each time: for the search, for looking at what it found, which takes about as long, and
@@ -395,80 +394,6 @@ impl Recognizer {
             slope_rad_max: self.params.slope_rad_max,
         };
         self.explanations.explain(&scene, &self.pool, again, looking)
-    }
-
-    /// Lets the explanations compete; those that stand are the parts. Says whether there was time for it.
-    fn compete(&mut self, pair: &FramePair, exchanging: &mut Watch, out: &mut Recognition) -> bool {
-        let Self { explanations, parts, scales, pictures, params, outline_256, .. } = self;
-        let rig = rig_of(scales, pictures);
-        let Some(views) = views(pictures, rig, pair, params, *outline_256) else { return true };
-        let shading = explanations.shading();
-        let in_time = explanations.decide(parts, &params.select, &views, exchanging, PARTS_MAX);
-        explanations.press_apart(parts, &grasp::down_in_left(&params.grasp), &views);
-        let standing = explanations.standing();
-        out.parts.extend(standing.map(|explanation| {
-            let prepared = &parts[explanation.hypothesis.part];
-            found(params, rig, pictures, prepared, explanation, &shading, &views, out.spent.iterations)
-        }));
-        in_time
-    }
-
-    /// Finds what is blocked and ranks; was there no time for all, what does not stand alone is blocked.
-    fn grasp(&mut self, in_time: bool, out: &mut Recognition) {
-        let Self { parts, params, scales, pictures, explanations, unknown, .. } = self;
-        let rig = rig_of(scales, pictures);
-        let placed: ArrayVec<Placed, PARTS_MAX> =
-            out.parts.iter().map(|f| parts[f.part].placed(&f.left_from_part, f.sigma_mm.max())).collect();
-        let blocked: ArrayVec<Option<Blocked>, PARTS_MAX> = (0..placed.len())
-            .map(|i| grasp::blocked(&params.grasp, &placed, i, &out.parts[i].grasp))
-            .collect();
-        drop(placed);
-        unknown.find(pictures, explanations.claims());
-        for ((found, blocked), explanation) in out.parts.iter_mut().zip(blocked).zip(explanations.standing())
-        {
-            let uncertain = (!found.proven).then_some(Blocked::Uncertain);
-            found.blocked = blocked.or(uncertain).or_else(|| {
-                let prepared = &parts[found.part];
-                let taken = Taken { params: &params.grasp, rig, prepared, explanation, found };
-                match in_time {
-                    true => unknown
-                        .is_in_the_way(&taken, pictures, explanations.claims())
-                        .then_some(Blocked::Unknown),
-                    false => (!taken.stands_alone(pictures)).then_some(Blocked::OutOfTime),
-                }
-            });
-        }
-        // What may not be there at all comes last.
-        let rank = |f: &FoundPart| match f.blocked {
-            None => 0,
-            Some(_) if !f.proven => 3,
-            Some(Blocked::Covered) => 2,
-            Some(_) => 1,
-        };
-        // An unstable sort allocates nothing; places settle ties the same way every time.
-        let place = |f: &FoundPart| f.left_from_part.translation.z;
-        out.parts.sort_unstable_by(|a, b| {
-            rank(a)
-                .cmp(&rank(b))
-                .then(b.sound.cmp(&a.sound))
-                .then(b.clear.total_cmp(&a.clear))
-                .then(place(a).total_cmp(&place(b)))
-        });
-    }
-
-    fn no_pick(&self, out: &Recognition) -> Option<NoPick> {
-        if out.parts.iter().any(|p| p.blocked.is_none()) {
-            return None;
-        }
-        Some(if out.out_of_time {
-            NoPick::OutOfTime
-        } else if !out.parts.is_empty() {
-            NoPick::AllBlocked
-        } else if self.pictures.iter().all(|p| p.graph().edges.is_empty()) {
-            NoPick::BinEmpty
-        } else {
-            NoPick::NothingRecognised
-        })
     }
 }
 

@@ -103,6 +103,13 @@ impl Explanations {
         }
     }
 
+    /// Displaces those that stand by so much each, in mm of the left camera's frame.
+    pub(in crate::recognize) fn displace<'a>(&mut self, by_mm: impl Iterator<Item = &'a Vector3<f64>>) {
+        for (&index, by_mm) in self.standing.iter().zip(by_mm) {
+            self.list[index].fit.left_from_part.translation.vector += by_mm;
+        }
+    }
+
     /// Moves a part that nothing holds along itself to the middle of where it can lie, and looks at it there.
     fn centre(&mut self, index: usize, parts: &[Prepared], views: &[View; 2]) {
         let Explanation { hypothesis, fit, verdict, covariance, .. } = &mut self.list[index];

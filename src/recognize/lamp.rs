@@ -1,0 +1,97 @@
+//! Where the lamp stands, as light on wire tells, and how far that displaces what is seen of a part.
+//!
+//! A lamp at one side lights round wire farther on that side: the middle between both borders of the lit region lies beside
+//! the axis, so many radii towards the lamp. In one bin that is the same for all parts. Light within those borders lies still
+//! farther towards the lamp, and so tells how far they do. A piece of wire tells what is across it, in each picture; those
+//! that lie in different directions together tell all.
+
+use nalgebra::{Matrix2, Vector2, Vector3};
+
+use crate::pose::model::PoseModel;
+use crate::pose::refine::View;
+use crate::pose::verify::{PieceSight, Sight, Verdict};
+
+/// Stations this many thicknesses apart are looked at.
+const SKEW_THICKNESSES: usize = 6;
+/// Weight of no displacement along a part's wire, where nothing is seen of it, against all that is seen across.
+const ALONG_WEIGHT: f64 = 0.02;
+/// How many parts speak for a lamp straight above, unseen.
+const ABOVE_PARTS: f64 = 0.3;
+
+/// How light lies on the wire of one part: the equations of where it lies, in half widths along x and y of the left camera.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Light {
+    normal: Matrix2<f64>,
+    right_side: Vector2<f64>,
+}
+
+impl Light {
+    /// On a part that pictures have this verdict on.
+    pub(super) fn on(model: &PoseModel, verdict: &Verdict, views: &[View; 2]) -> Self {
+        let (mut light, mut count) = (Self::default(), 0.0);
+        for piece in verdict.pieces.iter().step_by(SKEW_THICKNESSES * model.per_thickness) {
+            for (seen, view) in piece.iter().zip(views).filter(|(seen, _)| seen.sight == Sight::Clear) {
+                let PieceSight { expected_px, across, half_width_px, .. } = *seen;
+                let skew =
+                    seen.seen_px.and_then(|px| view.profiler.skew(expected_px, across, half_width_px, px));
+                let Some(skew) = skew else { continue };
+                let across = view.rotation.tr_mul(&across.push(0.0)).xy();
+                light.normal += across * across.transpose();
+                light.right_side += across * skew;
+                count += 1.0;
+            }
+        }
+        Self {
+            normal: light.normal / f64::max(count, 1.0),
+            right_side: light.right_side / f64::max(count, 1.0),
+        }
+    }
+
+    /// How far a lamp displaces the part, in radii, where it displaces wire by `lamp_radii` across: what fits all its wire best,
+    /// and nothing along it.
+    pub(super) fn displaced(&self, lamp_radii: &Vector2<f64>) -> Vector3<f64> {
+        let solved = (self.normal + Matrix2::identity() * ALONG_WEIGHT).try_inverse();
+        solved.map_or(Vector2::zeros(), |inverse| inverse * (self.normal * lamp_radii)).push(0.0)
+    }
+}
+
+/// How far the lamp displaces what is seen of wire, in radii along x and y of the left camera, `per_skew` for each half width
+/// that the light lies beside.
+pub(super) fn lamp_radii(lights: &[Light], per_skew: f64) -> Vector2<f64> {
+    let normal =
+        lights.iter().map(|light| light.normal).sum::<Matrix2<f64>>() + Matrix2::identity() * ABOVE_PARTS;
+    let right_side = lights.iter().map(|light| light.right_side).sum::<Vector2<f64>>();
+    normal.try_inverse().map_or(Vector2::zeros(), |inverse| inverse * right_side) * per_skew
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Straight wire in this direction, displaced so much across.
+    fn straight(angle: f64, across_radii: f64) -> Light {
+        let across = Vector2::new(-angle.sin(), angle.cos());
+        Light { normal: across * across.transpose(), right_side: across * across_radii }
+    }
+
+    #[test]
+    fn rods_in_different_directions_tell_where_the_lamp_is() {
+        let lamp = Vector2::new(0.1, -0.05);
+        let lights: Vec<Light> = (0..12)
+            .map(|k| {
+                let angle = 0.4 * f64::from(k);
+                straight(angle, lamp.dot(&Vector2::new(-angle.sin(), angle.cos())))
+            })
+            .collect();
+        let found = lamp_radii(&lights, 1.0);
+        assert!((found - lamp).norm() < 0.01, "{found}");
+        assert!((lamp_radii(&lights, 1.2) - found * 1.2).norm() < 1e-9);
+        assert_eq!(lamp_radii(&[], 1.0), Vector2::zeros());
+        // One alone is not believed altogether, and displaced across only.
+        let one = straight(0.0, 0.1);
+        let found = lamp_radii(&[one], 1.0);
+        assert!(found.x == 0.0 && (0.06..0.09).contains(&found.y), "{found}");
+        let displaced = one.displaced(&lamp);
+        assert!(displaced.x.abs() < 1e-9 && (displaced.y - lamp.y).abs() < 0.002, "{displaced}");
+    }
+}

@@ -1,0 +1,104 @@
+//! From explanations to the outcome: which parts there are, which can be taken, in which order.
+
+use arrayvec::ArrayVec;
+use nalgebra::Vector3;
+
+use super::explanations::Explanation;
+use super::found::found;
+use super::lamp::{Light, lamp_radii};
+use super::result::{FoundPart, NoPick, PARTS_MAX, Recognition};
+use super::unknown::Taken;
+use super::views::views;
+use super::{Recognizer, rig_of};
+use crate::frame::FramePair;
+use crate::grasp::{self, Blocked, Placed};
+use crate::time::Watch;
+
+impl Recognizer {
+    /// Lets the explanations compete; those that stand are the parts. Says whether there was time for it.
+    pub(super) fn compete(
+        &mut self,
+        pair: &FramePair,
+        exchanging: &mut Watch,
+        out: &mut Recognition,
+    ) -> bool {
+        let Self { explanations, parts, scales, pictures, params, outline_256, .. } = self;
+        let rig = rig_of(scales, pictures);
+        let Some(views) = views(pictures, rig, pair, params, *outline_256) else { return true };
+        let in_time = explanations.decide(parts, &params.select, &views, exchanging, PARTS_MAX);
+        explanations.press_apart(parts, &grasp::down_in_left(&params.grasp), &views);
+        let prepared = |e: &Explanation| &parts[e.hypothesis.part];
+        let lights = explanations.standing().map(|e| Light::on(&prepared(e).pose_model, &e.verdict, &views));
+        let lights: ArrayVec<Light, PARTS_MAX> = lights.collect();
+        let lamp_radii = lamp_radii(&lights, explanations.shading().across_per_skew);
+        let beside = explanations
+            .standing()
+            .zip(&lights)
+            .map(|(e, light)| light.displaced(&lamp_radii) * -prepared(e).pose_model.radius_mm);
+        let beside_mm: ArrayVec<Vector3<f64>, PARTS_MAX> = beside.collect();
+        explanations.displace(beside_mm.iter());
+        let standing = explanations.standing().zip(&beside_mm);
+        out.parts.extend(standing.map(|(explanation, beside_mm)| {
+            found(params, rig, pictures, prepared(explanation), explanation, beside_mm, out.spent.iterations)
+        }));
+        in_time
+    }
+
+    /// Finds what is blocked and ranks; was there no time for all, what does not stand alone is blocked.
+    pub(super) fn grasp(&mut self, in_time: bool, out: &mut Recognition) {
+        let Self { parts, params, scales, pictures, explanations, unknown, .. } = self;
+        let rig = rig_of(scales, pictures);
+        let placed: ArrayVec<Placed, PARTS_MAX> =
+            out.parts.iter().map(|f| parts[f.part].placed(&f.left_from_part, f.sigma_mm.max())).collect();
+        let blocked: ArrayVec<Option<Blocked>, PARTS_MAX> = (0..placed.len())
+            .map(|i| grasp::blocked(&params.grasp, &placed, i, &out.parts[i].grasp))
+            .collect();
+        drop(placed);
+        unknown.find(pictures, explanations.claims());
+        for ((found, blocked), explanation) in out.parts.iter_mut().zip(blocked).zip(explanations.standing())
+        {
+            let uncertain = (!found.proven).then_some(Blocked::Uncertain);
+            found.blocked = blocked.or(uncertain).or_else(|| {
+                let prepared = &parts[found.part];
+                let taken = Taken { params: &params.grasp, rig, prepared, explanation, found };
+                match in_time {
+                    true => unknown
+                        .is_in_the_way(&taken, pictures, explanations.claims())
+                        .then_some(Blocked::Unknown),
+                    false => (!taken.stands_alone(pictures)).then_some(Blocked::OutOfTime),
+                }
+            });
+        }
+        // What may not be there at all comes last.
+        let rank = |f: &FoundPart| match f.blocked {
+            None => 0,
+            Some(_) if !f.proven => 3,
+            Some(Blocked::Covered) => 2,
+            Some(_) => 1,
+        };
+        // An unstable sort allocates nothing; places settle ties the same way every time.
+        let place = |f: &FoundPart| f.left_from_part.translation.z;
+        out.parts.sort_unstable_by(|a, b| {
+            rank(a)
+                .cmp(&rank(b))
+                .then(b.sound.cmp(&a.sound))
+                .then(b.clear.total_cmp(&a.clear))
+                .then(place(a).total_cmp(&place(b)))
+        });
+    }
+
+    pub(super) fn no_pick(&self, out: &Recognition) -> Option<NoPick> {
+        if out.parts.iter().any(|p| p.blocked.is_none()) {
+            return None;
+        }
+        Some(if out.out_of_time {
+            NoPick::OutOfTime
+        } else if !out.parts.is_empty() {
+            NoPick::AllBlocked
+        } else if self.pictures.iter().all(|p| p.graph().edges.is_empty()) {
+            NoPick::BinEmpty
+        } else {
+            NoPick::NothingRecognised
+        })
+    }
+}
