@@ -180,6 +180,10 @@ fn folder_of_pairs() -> tempfile::TempDir {
 #[test]
 fn a_bad_pair_of_a_folder_is_one_line_and_the_rest_goes_on() {
     let (folder, out) = (folder_of_pairs(), tempfile::tempdir().unwrap());
+    // From an earlier run: it does not stay beside those of this one.
+    let stale = out.path().join("b-cut/results.json");
+    fs::create_dir(stale.parent().unwrap()).unwrap();
+    fs::write(&stale, "{}").unwrap();
     let arguments = ["--pairs", folder.path().to_str().unwrap(), "--out", out.path().to_str().unwrap()];
     let output = recognize(&[&arguments[..], &["--format", "json"]].concat());
     assert_eq!(output.status.code(), Some(1));
@@ -201,7 +205,7 @@ fn a_bad_pair_of_a_folder_is_one_line_and_the_rest_goes_on() {
     let written: Value =
         serde_json::from_str(&fs::read_to_string(out.path().join("a-good/results.json")).unwrap()).unwrap();
     assert_eq!(written, lines[0]);
-    assert_eq!(fs::read_dir(out.path()).unwrap().count(), 1, "nothing is written for a bad pair");
+    assert!(!stale.exists() && !out.path().join("c-alone").exists(), "nothing is written for a bad pair");
 }
 
 #[test]
@@ -292,6 +296,25 @@ fn a_pair_without_time_offers_nothing_and_says_so() {
 }
 
 /// A file of this name and content in a folder of its own.
+#[test]
+fn an_overlay_takes_the_place_of_no_picture_that_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let [left, right] = [("l.png", LEFT), ("r.png", RIGHT)].map(|(name, picture)| {
+        fs::copy(format!("{ROOT}/{picture}"), at(name)).unwrap();
+        at(name)
+    });
+    let before = fs::read(&left).unwrap();
+    let to = |overlay: &str| recognize(&["--left", &left, "--right", &right, "--overlay", overlay]);
+    assert!(refusal(&to(&left), 2).contains("l.png: this file is read; give another name"));
+    assert!(refusal(&to(&at("o.jpg")), 2).contains("o.jpg: it is a png; give a name that ends so"));
+    assert!(fs::read(&left).unwrap() == before && !Path::new(&at("o.jpg")).exists());
+    let output = to(&at("o.png"));
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    // Again: it is there now.
+    assert!(to(&at("o.png")).status.success());
+}
+
 fn file(folder: &tempfile::TempDir, name: &str, bytes: &[u8]) -> String {
     let path = folder.path().join(name);
     fs::write(&path, bytes).unwrap();
@@ -355,6 +378,8 @@ fn bad_calibrations_and_parts_are_refused() {
         ("M2:", "m2:", "bad.yaml: M2 is missing"),
         ("1201.127417730653", ".Nan", "M1[0,0] = NaN: must be finite"),
         ("0.98983000226569451", "0.5", "R = [0.5,"),
+        ("1201.127417730653", "1e300", "M1 = fx 1e300: a focal length is 0.04 to 100 times the longer side"),
+        ("1201.127417730653", "1e-3", "M1 = fx 0.001: a focal length"),
         (
             "image_width: 640",
             "image_width: 1280",

@@ -399,7 +399,7 @@ impl Workspace {
             }
         }
         within("workspace.tilt_max_deg", self.tilt_max_deg, 0.0, 90.0)?;
-        within("workspace.jump_max_mm", self.jump_max_mm, f64::MIN_POSITIVE, MM_MAX)
+        within("workspace.jump_max_mm", self.jump_max_mm, 0.001, MM_MAX)
     }
 }
 

@@ -4,6 +4,7 @@
 use std::fs::File;
 use std::io::{self, Read};
 use std::os::fd::AsFd;
+use std::os::unix::fs::FileTypeExt;
 use std::path::Path;
 use std::time::Duration;
 
@@ -26,8 +27,11 @@ pub fn read_text(path: &Path) -> io::Result<String> {
 /// The bytes of what should be a text file.
 ///
 /// # Errors
-/// What the system says; a file larger than 16 MiB.
+/// What the system says; a file larger than 16 MiB; a pipe, which may never have an end.
 pub fn read_bytes(path: &Path) -> io::Result<Vec<u8>> {
+    if std::fs::metadata(path)?.file_type().is_fifo() {
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, "a pipe, not a file"));
+    }
     let mut bytes = Vec::new();
     File::open(path)?.take(TEXT_BYTES_MAX + 1).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > TEXT_BYTES_MAX {
@@ -70,6 +74,11 @@ mod tests {
     fn a_file_without_an_end_is_refused() {
         assert_eq!(read_text("/dev/zero".as_ref()).unwrap_err().kind(), io::ErrorKind::FileTooLarge);
         assert_eq!(read_text("/dev/null".as_ref()).unwrap(), "");
+        let folder = tempfile::tempdir().unwrap();
+        let pipe = folder.path().join("pipe");
+        rustix::fs::mknodat(rustix::fs::CWD, &pipe, rustix::fs::FileType::Fifo, rustix::fs::Mode::RUSR, 0)
+            .unwrap();
+        assert_eq!(read_text(&pipe).unwrap_err().to_string(), "a pipe, not a file");
         assert_eq!(read_text("/".as_ref()).unwrap_err().kind(), io::ErrorKind::IsADirectory);
     }
 

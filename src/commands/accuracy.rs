@@ -28,7 +28,7 @@ pub struct Accuracy {
     #[arg(long)]
     pub parts: Option<PathBuf>,
     /// Iterations of the search.
-    #[arg(long, default_value_t = 1_000_000)]
+    #[arg(long, default_value_t = 1_000_000, value_parser = clap::value_parser!(u64).range(1..))]
     pub iterations: u64,
     /// Random seed.
     #[arg(long, default_value_t = 1)]
@@ -49,6 +49,15 @@ pub fn run(args: &Accuracy) -> Result<u8, Box<dyn std::error::Error>> {
     let folder = args.parts.clone().unwrap_or_else(|| args.root.join("parts"));
     let mut total = Score::default();
     let sets = truth::read_sets(&args.root)?;
+    if let Some(unknown) = args.sets.iter().find(|name| !sets.iter().any(|set| set.name == **name)) {
+        let known: Vec<&str> = sets.iter().map(|set| set.name.as_str()).collect();
+        return Err(format!(
+            "--set {unknown}: there is no such set in {}; there are {}",
+            args.root.display(),
+            known.join(", ")
+        )
+        .into());
+    }
     say(Score::HEADING)?;
     for set in sets {
         if args.sets.is_empty() || args.sets.contains(&set.name) {
@@ -98,9 +107,13 @@ fn run_set(args: &Accuracy, set: &SceneSet, folder: &Path) -> Result<Score, Box<
         recognizer.run(&pair, Budget::Iterations(args.iterations), args.seed, &mut found)?;
         if let Some(out) = &args.out {
             let folder = out.join(&set.name).join(&scene.name);
-            std::fs::create_dir_all(&folder)?;
             let result = PairResult::new(Some(&scene.name), &found, &parts, "left", &[found.stages]);
-            write_atomically(&folder.join("results.json"), (result.to_json() + "\n").as_bytes())?;
+            let path = folder.join("results.json");
+            std::fs::create_dir_all(&folder)
+                .and_then(|()| write_atomically(&path, (result.to_json() + "\n").as_bytes()))
+                .map_err(|e| {
+                    io::Error::new(e.kind(), format!("{}: cannot be written: {e}", path.display()))
+                })?;
         }
         let verdicts = score.add(&truth, &found, &parts);
         if args.verbose {

@@ -153,8 +153,12 @@ impl Check<'_> {
         }
         let mut nodes: Vec<PartNode> = Vec::with_capacity(texts.len());
         for text in texts {
-            if text.name.trim().is_empty() {
-                return Err(self.value("node name", format!("{:?}", text.name), "must not be empty"));
+            if text.name.trim().is_empty() || text.name.chars().any(char::is_control) {
+                return Err(self.value(
+                    "node name",
+                    format!("{:?}", text.name),
+                    "must be a word that can be printed",
+                ));
             }
             if nodes.iter().any(|n| n.name == text.name) {
                 let problem = "two nodes have this name; give every node a name of its own";

@@ -1,10 +1,11 @@
 //! Calibration files: OpenCV FileStorage YAML and pairs of ROS camera_info to a [`Rig`], and back.
 
 use std::fmt::Write as _;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use firmware_bridge::outside::read_bytes;
-use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3};
 
 use super::yaml::{self, Entry, Matrix, Value};
 use super::{CameraModel, Rig, RigError};
@@ -13,6 +14,12 @@ use super::{CameraModel, Rig, RigError};
 const ROTATION_TOLERANCE: f64 = 2e-4;
 /// Shorter baselines are taken for metres in place of millimetres.
 const BASELINE_MIN_MM: f64 = 1.0;
+/// Focal length over the longer side of the picture: from what sees 170 degrees to a telescope.
+const FOCAL_WIDTHS: RangeInclusive<f64> = 0.04..=100.0;
+/// How far from itself a pixel may come back whose distortion is taken off and put on again.
+const UNDONE_PX_MAX: f64 = 0.5;
+/// How many times the tangent of a ray's angle a lens may make of it, or the other way round, half way out.
+const TURNED_MAX: f64 = 4.0;
 /// Sides of a picture beyond this are refused.
 const SIDE_MAX_PX: usize = 8192;
 
@@ -135,6 +142,30 @@ fn ros(left: &File, right: &File) -> Result<Rig, RigError> {
     })
 }
 
+/// A number as people write it, if it is one of theirs.
+fn short(number: f64) -> String {
+    if number == 0.0 || (1e-6..1e9).contains(&number.abs()) {
+        number.to_string()
+    } else {
+        format!("{number:e}")
+    }
+}
+
+/// Whether the distortion of a lens can be undone over the middle half of its picture, and is none that turns rays by a multiple
+/// of their angle: farther out many a good calibration bends back.
+fn is_undone(camera: &CameraModel) -> bool {
+    let centre = Vector2::new(camera.cx, camera.cy);
+    let quarter = Vector2::new(camera.width as f64, camera.height as f64) / 4.0;
+    let places = (-1..=1).flat_map(|x| (-1..=1).map(move |y| Vector2::new(f64::from(x), f64::from(y))));
+    places.map(|place| centre + place.component_mul(&quarter)).all(|px| {
+        let ray = camera.undistort(px);
+        let back = camera.project(&Point3::new(ray.x, ray.y, 1.0));
+        let straight = (px - centre).component_div(&Vector2::new(camera.fx, camera.fy)).norm();
+        let is_lens = (straight / TURNED_MAX..=straight * TURNED_MAX).contains(&ray.norm());
+        back.is_some_and(|back| (back - px).norm() < UNDONE_PX_MAX) && (is_lens || straight == 0.0)
+    })
+}
+
 /// One calibration file, its keys and its name for messages.
 struct File {
     path: PathBuf,
@@ -219,13 +250,22 @@ impl File {
             return Err(self.shape(matrix, m, "3 rows and 3 columns"));
         };
         for (name, focal) in [("fx", fx), ("fy", fy)] {
-            if focal <= 0.0 {
-                let value = format!("{name} {focal}");
-                return Err(self.value(
-                    matrix,
-                    &value,
-                    "a focal length must be above 0 pixels; calibrate again",
-                ));
+            let widths = focal / width.max(height) as f64;
+            if !FOCAL_WIDTHS.contains(&widths) {
+                let value = format!("{name} {}", short(focal));
+                let [least, most] = [FOCAL_WIDTHS.start(), FOCAL_WIDTHS.end()];
+                let problem = format!(
+                    "a focal length is {least} to {most} times the longer side of the picture; calibrate again"
+                );
+                return Err(self.value(matrix, &value, &problem));
+            }
+        }
+        for (name, centre, side) in [("cx", cx, width), ("cy", cy, height)] {
+            if !(0.0..=side as f64).contains(&centre) {
+                let value = format!("{name} {}", short(centre));
+                let problem =
+                    format!("the principal point lies in the picture, 0 to {side} here; calibrate again");
+                return Err(self.value(matrix, &value, &problem));
             }
         }
         // a skew that moves no pixel of the picture by a hundredth is rounding
@@ -249,7 +289,16 @@ impl File {
         }
         let mut distortion = [0.0; 14];
         distortion[..d.data.len()].copy_from_slice(&d.data);
-        Ok(CameraModel { width, height, fx, fy, cx, cy, distortion })
+        let camera = CameraModel { width, height, fx, fy, cx, cy, distortion };
+        if !is_undone(&camera) {
+            let value = format!("{:?}", d.data);
+            return Err(self.value(
+                coefficients,
+                &value,
+                "cannot be undone in the middle of the picture; calibrate again",
+            ));
+        }
+        Ok(camera)
     }
 
     fn rotation(&self, key: &str) -> Result<UnitQuaternion<f64>, RigError> {
@@ -280,15 +329,16 @@ impl File {
             return Ok(());
         }
         let [x, y, z] = [translation_mm.x, translation_mm.y, translation_mm.z];
-        let problem =
-            format!("a baseline of {baseline} mm; it must be at least {BASELINE_MIN_MM} mm. {remedy}");
-        Err(self.value(key, &format!("[{x}, {y}, {z}]"), &problem))
+        let problem = format!(
+            "a baseline of {} mm; it must be at least {BASELINE_MIN_MM} mm. {remedy}",
+            short((1e3 * baseline).round() / 1e3)
+        );
+        Err(self.value(key, &format!("[{}, {}, {}]", short(x), short(y), short(z)), &problem))
     }
 
     /// A side of the picture in pixels.
     fn side(&self, key: &str, other_key: &str) -> Result<usize, RigError> {
-        let remedy =
-            "the size in pixels of the pictures that the calibration was made with, as `image_width: 640`";
+        let remedy = "the size in pixels of the pictures that the calibration was made with, as `image_width: 640` and `image_height: 480`";
         let text = match self.scalar(key)? {
             Some(text) => text,
             None => self.scalar(other_key)?.ok_or_else(|| self.missing(key, remedy))?,

@@ -265,7 +265,14 @@ fn what_is_wrong_in_a_file_is_named_with_key_value_and_remedy() {
         ("T: !!", "t: !!", "T is missing; three numbers"),
         ("1201.127417730653", ".Nan", "M1[0,0] = NaN: must be finite; calibrate again"),
         ("9.0038338196653172", ".Inf", "T[2,0] = inf: must be finite"),
-        ("1201.127417730653", "-1201.1", "M1 = fx -1201.1: a focal length must be above 0 pixels"),
+        (
+            "322.4702019852449",
+            "-1",
+            "M1 = cx -1: the principal point lies in the picture, 0 to 640 here; calibrate",
+        ),
+        ("322.4702019852449", "1e300", "M1 = cx 1e300: "),
+        ("-0.11957844649995428", "1e6", "D1 = [1000000.0,"),
+        ("1201.127417730653", "-1201.1", "M1 = fx -1201.1: a focal length is 0.04 to 100 times the longer"),
         ("0.98983000226569451", "1.98983", "is no rotation: RᵀR differs from 1 by"),
         ("-63.789745829089803, 0.47779105799731192, 9.0038338196653172", "0., 0., 0.", "a baseline of 0 mm"),
         (

@@ -58,6 +58,13 @@ fn calibration(cell: &Cell, findings: &mut Findings) -> Option<Rig> {
     } else {
         findings.warning("calibration", about, "T must be in millimetres; see whether it is");
     }
+    if rig.right_from_left.translation.x > 0.5 * baseline_mm {
+        findings.warning(
+            "cameras",
+            "the right camera stands at the left of the left one".to_owned(),
+            "are they exchanged in the calibration? then no point is seen in front of both",
+        );
+    }
     if let Some(age) = age(path).filter(|age| *age > CALIBRATION_AGE_MAX) {
         findings.warning(
             "calibration age",
@@ -68,7 +75,8 @@ fn calibration(cell: &Cell, findings: &mut Findings) -> Option<Rig> {
     let cameras = [("left", &cell.cameras.left), ("right", &cell.cameras.right)];
     for (side, camera) in cameras {
         let Some(camera) = camera else { continue };
-        if let Err(error) = rig.check_size(camera.width as usize, camera.height as usize) {
+        let calibrated = if side == "left" { &rig.left } else { &rig.right };
+        if let Err(error) = calibrated.check_size(side, camera.width as usize, camera.height as usize) {
             findings.wrong(&format!("calibration for the {side} camera"), error.to_string());
         }
     }

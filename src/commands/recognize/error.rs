@@ -92,6 +92,14 @@ pub enum RecognizeError {
         /// Why.
         reason: recognize::Refusal,
     },
+    /// The overlay cannot have this name.
+    #[error("--overlay {}: {problem}", path.display())]
+    Overlay {
+        /// The name.
+        path: PathBuf,
+        /// Why not, and what to do.
+        problem: &'static str,
+    },
     /// A result that cannot be written.
     #[error("{}: cannot be written: {source}; nothing of it was kept", path.display())]
     Write {

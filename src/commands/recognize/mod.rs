@@ -29,6 +29,9 @@ use crate::report::{Canvas, stages};
 /// # Errors
 /// [`RecognizeError`]; its exit code says whether the job or what was given to it is to blame.
 pub fn run(args: &RecognizeArgs) -> Result<(), RecognizeError> {
+    if let Some(path) = &args.overlay {
+        check_overlay(path, args)?;
+    }
     let setup = Setup::new(args)?;
     let mut recognizer = Recognizer::new(setup.params.clone(), setup.rig, setup.parts.clone())?;
     if setup.threads > 1 {
@@ -54,6 +57,36 @@ pub fn run(args: &RecognizeArgs) -> Result<(), RecognizeError> {
     }
 }
 
+/// Name of a pair's results.
+const RESULTS: &str = "results.json";
+
+/// Whether the overlay may be written to `path`: it takes the place of nothing that is read.
+fn check_overlay(path: &Path, args: &RecognizeArgs) -> Result<(), RecognizeError> {
+    let refused = |problem| Err(RecognizeError::Overlay { path: path.to_owned(), problem });
+    if !path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("png")) {
+        return refused("it is a png; give a name that ends so");
+    }
+    let inputs =
+        args.left.iter().chain(&args.right).chain(&args.cell).chain(&args.calibration).chain(&args.parts);
+    let Ok(there) = path.canonicalize() else { return Ok(()) };
+    match inputs.filter_map(|input| input.canonicalize().ok()).any(|input| input == there) {
+        true => refused("this file is read; give another name"),
+        false => Ok(()),
+    }
+}
+
+/// Removes what an earlier run wrote, so that it does not seem to be from this one.
+fn remove_file(path: &Path) -> Result<(), RecognizeError> {
+    match fs::remove_file(path) {
+        Err(source)
+            if source.kind() != io::ErrorKind::NotFound && source.kind() != io::ErrorKind::NotADirectory =>
+        {
+            Err(RecognizeError::Write { path: path.to_owned(), source })
+        }
+        _ => Ok(()),
+    }
+}
+
 /// The work on all pairs.
 struct Job<'a> {
     args: &'a RecognizeArgs,
@@ -65,6 +98,9 @@ struct Job<'a> {
 
 impl Job<'_> {
     fn pair(&mut self, pair: &PairFiles) -> Result<(), RecognizeError> {
+        if let Some(folder) = &self.args.out {
+            remove_file(&folder.join(&pair.name).join(RESULTS))?;
+        }
         let (frames, paths) = read_pair(pair, &self.setup.rig)?;
         self.runs.clear();
         for _ in 0..self.args.repeat {
@@ -79,7 +115,7 @@ impl Job<'_> {
         let frame = if self.setup.base_from_left.is_some() { "base" } else { "left" };
         let result = PairResult::new(name, &self.found, &self.setup.parts, frame, &self.runs);
         if let Some(folder) = &self.args.out {
-            write_file(&folder.join(&pair.name), "results.json", (result.to_json() + "\n").as_bytes())?;
+            write_file(&folder.join(&pair.name), RESULTS, (result.to_json() + "\n").as_bytes())?;
         }
         let mut text = Vec::new();
         match self.args.format {
