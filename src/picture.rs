@@ -1,5 +1,7 @@
 //! One picture through the stages of vision: decoded, binarized, halved where its wire is thick, thinned, read as a graph.
 
+use std::ops::RangeInclusive;
+
 use crate::frame::{Frame, LumaView, PixelFormat};
 use crate::matching::nodes::{ImageNode, ImageNodes};
 use crate::part::Part;
@@ -158,8 +160,13 @@ impl Picture {
         binarize.run(seen, &mut sizes[0].mask).map_err(refused)?;
         let range = binarize.params();
         let is_light_on_dark = !range.inverted && range.colour == ColourRange::Auto;
-        if is_light_on_dark && sizes[0].mask.words().iter().all(|&word| word == 0) && is_white(luma) {
-            return Err(Refusal::White { side });
+        if is_light_on_dark && sizes[0].mask.words().iter().all(|&word| word == 0) {
+            if is_all_of(luma, WHITE_LUMA) {
+                return Err(Refusal::White { side });
+            }
+            if is_all_of(luma, BLACK_LUMA) {
+                return Err(Refusal::Black { side });
+            }
         }
         *halvings = 0;
         while let [whole, half, ..] = &mut sizes[*halvings..]
@@ -277,17 +284,18 @@ fn is_thick(mask: &BitImage, evenness: f64) -> bool {
     thickness_px >= THICK_PX_MIN && thickness_px * evenness >= THIN_PX_MIN
 }
 
-/// Luma from which a camera is taken to be saturated.
-const WHITE_LUMA_MIN: u8 = 250;
+/// Luma of a camera that is saturated, and of one that sees no light: no floor is so dark, and no wire would stand out.
+const WHITE_LUMA: RangeInclusive<u8> = 250..=255;
+const BLACK_LUMA: RangeInclusive<u8> = 0..=8;
 
-/// Whether 99 of 100 pixels are saturated; every fourth pixel of every fourth row is looked at.
-fn is_white(luma: &Frame) -> bool {
+/// Whether 99 of 100 pixels are as light or dark as that; every fourth pixel of every fourth row is looked at.
+fn is_all_of(luma: &Frame, wanted: RangeInclusive<u8>) -> bool {
     let Some(view) = LumaView::new(luma) else { return false };
     let places = (0..luma.height).step_by(4).flat_map(|y| (0..luma.width).step_by(4).map(move |x| (x, y)));
-    let (mut white, mut all) = (0usize, 0usize);
+    let (mut found, mut all) = (0usize, 0usize);
     for (x, y) in places {
         all += 1;
-        white += usize::from(view.at(x, y) >= WHITE_LUMA_MIN);
+        found += usize::from(wanted.contains(&view.at(x, y)));
     }
-    100 * white >= 99 * all
+    100 * found >= 99 * all
 }

@@ -359,6 +359,10 @@ fn bad_pictures_are_refused_and_nothing_is_written() {
     assert!(message.contains("right picture is white all over: less light"), "{message}");
     let message = refusal(&recognize(&["--left", white, "--right", white, "--grey-min", "100"]), 2);
     assert!(message.contains("narrow the colour range or the region"), "{message}");
+    let black = file(&folder, "black.png", b"");
+    image::GrayImage::from_fn(640, 480, |x, y| image::Luma([((x * y) % 4) as u8])).save(&black).unwrap();
+    let message = refusal(&recognize(&["--left", &black, "--right", LEFT]), 2);
+    assert!(message.contains("left picture is black all over: light, the cap of the lens"), "{message}");
     let message = refusal(&recognize(&["--left", LEFT, "--right", "/dev/zero"]), 2);
     assert!(message.contains("/dev/zero: is no regular file"), "{message}");
 }

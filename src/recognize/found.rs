@@ -14,7 +14,6 @@ use crate::rig::Rig;
 use crate::vision::halve::in_whole;
 
 /// The part that an explanation is, which was moved by `beside_mm` for the lamp.
-#[expect(clippy::too_many_arguments)]
 pub(super) fn found(
     params: &Params,
     rig: &Rig,

@@ -52,6 +52,14 @@ pub enum Refusal {
         /// `left` or `right`.
         side: Side,
     },
+    /// The picture is black all over: not an empty bin, a camera that sees no light.
+    #[error(
+        "{side} picture is black all over: light, the cap of the lens, a longer exposure, or a colour range in place of auto"
+    )]
+    Black {
+        /// `left` or `right`.
+        side: Side,
+    },
     /// The picture shows too much.
     #[error("{side} picture: {reason}")]
     Graph {

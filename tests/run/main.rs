@@ -93,6 +93,17 @@ fn a_session_gives_a_line_and_a_picture_a_pair_and_a_table() {
 }
 
 #[test]
+fn a_picture_that_cannot_be_written_takes_no_line_and_no_table() {
+    let cell = Cell::fast(&[]);
+    fs::create_dir_all(cell.path("out/0003.png/in-the-way")).unwrap();
+    let output = cell.run(&[]);
+    let (text, said) = (stdout(&output), stderr(&output));
+    assert!(!output.status.success() && said.contains("the cell goes on without overlay pictures"), "{said}");
+    assert!(text.contains("\npair 0019  ") && row(&text, "pairs") == Some(20), "{text}");
+    assert!(row(&text, "targets sent").unwrap() >= 1);
+}
+
+#[test]
 fn lines_may_be_left_to_the_pairs_where_something_changes() {
     let lines = |lines: &str| {
         let output = Cell::fast(&[]).run(&["--overlay", "none", "--lines", lines]);

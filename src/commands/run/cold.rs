@@ -63,6 +63,8 @@ pub(super) struct Cold {
     /// What systemd was told last, and when.
     status: (String, Timestamp),
     failed: Option<RunError>,
+    /// Why no more overlay pictures are drawn.
+    undrawn: Option<RunError>,
     /// A session on its own time leaves no line out.
     waits_for_readers: bool,
 }
@@ -112,6 +114,7 @@ impl Cold {
             standing: Standing::default(),
             status: (String::new(), Timestamp::default()),
             failed: None,
+            undrawn: None,
             waits_for_readers: fast,
             desk,
             seat,
@@ -184,8 +187,9 @@ impl Cold {
     fn fetch_drawn(&mut self) {
         while let Some((file, result)) = self.studio.as_mut().and_then(|s| s.drawn(self.undrawn_max)) {
             self.seat.outbox.send(Letter::Filed(file));
-            if self.failed.is_none() {
-                self.failed = result.err();
+            if let (Err(reason), None) = (result, &self.undrawn) {
+                self.log(|| tracing::error!("{reason}; the cell goes on without overlay pictures"));
+                self.undrawn = Some(reason);
             }
         }
     }
@@ -340,7 +344,7 @@ impl Cold {
     /// Has the pair drawn, or gives its file back.
     fn order_picture(&mut self, name: String, caption: String, file: Box<File>) {
         let back = match &mut self.studio {
-            Some(studio) if self.failed.is_none() => studio.order(name, caption, file).err(),
+            Some(studio) if self.undrawn.is_none() => studio.order(name, caption, file).err(),
             _ => Some(file),
         };
         if let Some(file) = back {
@@ -373,7 +377,6 @@ impl Cold {
         self.fetch_written();
         let recorded = self.recorder.take().map(Recorder::close);
         let drawn = self.studio.take().map_or(Ok(()), Studio::close);
-        self.failed = self.failed.or(drawn.err());
         let found: Vec<_> =
             self.parts.iter().map(|part| part.name.as_str()).zip(self.found.clone()).collect();
         let telemetry = &self.desk.telemetry;
@@ -390,7 +393,7 @@ impl Cold {
         {
             self.print(line.trim_end(), LAST_WORDS);
         }
-        match self.failed.take() {
+        match self.failed.take().or(self.undrawn.take()).or(drawn.err()) {
             Some(failed) => Err(failed),
             None => verdict.map(drop).map_err(RunError::Soak),
         }
