@@ -1,14 +1,16 @@
 //! From an explanation that stands to what is told of the part.
 
+use arrayvec::ArrayVec;
 use nalgebra::Vector3;
 
 use super::Params;
 use super::explanations::Explanation;
 use super::prepared::Prepared;
-use super::result::{FoundNode, FoundPart};
+use super::result::{FoundNode, FoundPart, Seen};
 use super::spread::sigmas;
 use crate::grasp;
 use crate::matching::select;
+use crate::part::NODES_MAX;
 use crate::picture::Picture;
 use crate::rig::Rig;
 use crate::vision::halve::in_whole;
@@ -33,11 +35,13 @@ pub(super) fn found(
             FoundNode { left_mm, left_px, right_px, seen }
         },
     );
+    let nodes: ArrayVec<FoundNode, NODES_MAX> = nodes.collect();
+    let unseen = nodes.iter().filter(|n| n.seen == Seen::None).count();
     FoundPart {
         part: e.hypothesis.part,
-        fitness: e.fitness,
+        fitness: e.verdict.terms(unseen).fitness(&params.weights),
         left_from_part: pose,
-        nodes: nodes.collect(),
+        nodes,
         grasp,
         sigma_mm,
         sigma_axis_rad,

@@ -75,9 +75,9 @@ impl Prepared {
         image_nodes: [&'a [ImageNode]; 2],
     ) -> impl Iterator<Item = (Point3<f64>, [Vector2<f64>; 2], Seen)> {
         let sees = move |side: usize, px: &Vector2<f64>| {
-            image_nodes[side]
-                .iter()
-                .any(|n| n.role != NodeRole::Bend && (n.position_px - px).norm() < SAME_END_PX)
+            image_nodes[side].iter().any(|n| {
+                n.role != NodeRole::Bend && (n.position_px - px).norm_squared() < SAME_END_PX * SAME_END_PX
+            })
         };
         self.part.nodes.iter().map(move |node| {
             let left_mm = pose * node.position_mm;
@@ -90,6 +90,11 @@ impl Prepared {
             };
             (left_mm, px, seen)
         })
+    }
+
+    /// How many of its nodes no picture shows.
+    pub(super) fn unseen(&self, rig: &Rig, pose: &Isometry3<f64>, image_nodes: [&[ImageNode]; 2]) -> usize {
+        self.nodes_seen(rig, pose, image_nodes).filter(|(.., seen)| *seen == Seen::None).count()
     }
 
     /// Length of wire that must be seen of it, in radii.

@@ -10,7 +10,7 @@ use crate::vision::thin::Algorithm;
 const EXAMPLES: &str = "\
 Examples:
   pickcell recognize --calibration replay/conveyor/calibration.yaml --part replay/parts/rod-90.toml \\
-                     --left replay/conveyor/left/0000.jpg --right replay/conveyor/right/0000.jpg --overlay out.png
+                     --left replay/conveyor/left/0000.jpg --right replay/conveyor/right/0000.jpg --overlay out/pair.png
   pickcell recognize --calibration replay/conveyor/calibration.yaml --part replay/parts/rod-90.toml \\
                      --pairs replay/conveyor --iterations 1000000 --format json --out out/conveyor
   pickcell recognize --cell cell.toml --left l.png --right r.png --stages out/stages

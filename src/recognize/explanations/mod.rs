@@ -9,7 +9,6 @@ use arrayvec::ArrayVec;
 use nalgebra::{Isometry3, Matrix6, Vector2, Vector3};
 
 use super::prepared::{Prepared, SAME_END_PX};
-use super::result::Seen;
 use crate::matching::claims::ClaimMap;
 use crate::matching::fitness::{UNMATCHED, Weights};
 use crate::matching::hypotheses::Hypothesis;
@@ -43,8 +42,6 @@ pub(super) struct Explanation {
     pub(super) hypothesis: Hypothesis,
     pub(super) fit: Fit,
     pub(super) verdict: Verdict,
-    /// That of the fitted part: its verdict's terms and the nodes that no picture shows.
-    pub(super) fitness: f64,
     /// See [`Refine::covariance`].
     pub(super) covariance: Matrix6<f64>,
     /// Where its free ends are expected, left and right, that both pictures show.
@@ -127,7 +124,6 @@ impl Explanations {
             hypothesis: Hypothesis::default(),
             fit: Fit::default(),
             verdict: Verdict::with_room(stations.min(refine::STATIONS_MAX), stops),
-            fitness: 0.0,
             covariance: Matrix6::zeros(),
             ends_px: ArrayVec::new(),
             has_ends: false,
@@ -276,10 +272,10 @@ impl Explanations {
         (explanation.has_ends, explanation.has_claimed, explanation.is_settled) = (false, false, false);
         let verdict = &mut explanation.verdict;
         verify(&self.refine, model, &prepared.stops, &fit.left_from_part, &scene.views, verdict);
-        let unseen =
-            prepared.nodes_seen(scene.rig, pose, scene.image_nodes).filter(|(.., seen)| *seen == Seen::None);
-        explanation.fitness = verdict.terms(unseen.count()).fitness(scene.weights);
-        if explanation.fitness >= scene.fitness_max {
+        let fitness = |unseen: usize| verdict.terms(unseen).fitness(scene.weights);
+        if fitness(prepared.part.nodes.len()) >= scene.fitness_max
+            && fitness(prepared.unseen(scene.rig, pose, scene.image_nodes)) >= scene.fitness_max
+        {
             return None;
         }
         explanation.overrun_mm = verdict.overrun_mm;
