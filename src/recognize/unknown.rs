@@ -95,21 +95,28 @@ impl Taken<'_> {
             params.base_from_left.map_or(UnitQuaternion::identity(), |pose| pose.rotation.inverse());
         let left_from_tool = left_from_out * grasp.orientation;
         let share = |k: usize| (k as f64 + 0.5) / FINGER_SAMPLES as f64;
+        let samples =
+            || (0..FINGER_SAMPLES).flat_map(|i| (0..FINGER_SAMPLES).map(move |j| [i, j].map(share)));
         [-1.0, 1.0].iter().any(|side_of_wire| {
-            let mut unknown = [0; 2];
-            for (i, j) in (0..FINGER_SAMPLES).flat_map(|i| (0..FINGER_SAMPLES).map(move |j| (i, j))) {
-                let across_mm = grasp.opening_mm / 2.0 + share(i) * gripper.finger_thickness_mm;
-                let along_mm = (share(j) - 0.5) * gripper.finger_width_mm;
-                let place_mm = at_mm + left_from_tool * Vector3::new(side_of_wire * across_mm, along_mm, 0.0);
-                let px = [rig.project_left(&place_mm), rig.project_right(&place_mm)];
-                for (side, px) in px.iter().enumerate() {
-                    unknown[side] += usize::from(px.is_some_and(|px| {
-                        pictures[side].mask().get(nearest(px.x), nearest(px.y))
-                            && !claims[side].is_claimed_at_all(&px)
-                    }));
-                }
-            }
-            unknown.iter().all(|&unknown| FINGER_SHARE * unknown > FINGER_SAMPLES * FINGER_SAMPLES)
+            let corner = |across: f64, along: f64| {
+                let across_mm = grasp.opening_mm / 2.0 + across * gripper.finger_thickness_mm;
+                let along_mm = (along - 0.5) * gripper.finger_width_mm;
+                at_mm + left_from_tool * Vector3::new(side_of_wire * across_mm, along_mm, 0.0)
+            };
+            [0, 1].into_iter().all(|side: usize| {
+                let project = [Rig::project_left, Rig::project_right][side];
+                let [Some(first), Some(across), Some(along)] =
+                    [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)].map(|(a, b)| project(rig, &corner(a, b)))
+                else {
+                    return false;
+                };
+                let is_unknown = |[a, b]: &[f64; 2]| {
+                    let px = first + (across - first) * *a + (along - first) * *b;
+                    pictures[side].mask().get(nearest(px.x), nearest(px.y))
+                        && !claims[side].is_claimed_at_all(&px)
+                };
+                FINGER_SHARE * samples().filter(is_unknown).count() > FINGER_SAMPLES * FINGER_SAMPLES
+            })
         })
     }
 
