@@ -19,6 +19,11 @@ impl Timestamp {
         Self(read_ns(rustix::time::ClockId::Boottime))
     }
 
+    /// Whether this moment has come.
+    pub fn is_past(self) -> bool {
+        Self::now() >= self
+    }
+
     /// Nanoseconds from `earlier` to `self`; negative where `earlier` is the later one.
     pub fn since(self, earlier: Timestamp) -> i64 {
         self.0.saturating_sub(earlier.0)
@@ -229,6 +234,11 @@ impl Watch {
         };
         self.asked += u64::from(!self.rang);
         self.rang
+    }
+
+    /// The moment at which time is over; `None` where that is no moment.
+    pub fn end(&self) -> Option<Timestamp> {
+        if let Rings::At(end) = self.rings { Some(end) } else { None }
     }
 
     /// After how many questions it was over; `None` where it never was.

@@ -330,12 +330,17 @@ impl Recognizer {
             return false;
         };
         let (pictures, areas) = (&*pictures, &*areas);
+        let end = looking.end();
         let look = |ridges: &mut Ridges, luma: LumaView, side: usize| {
             let dark = params.binarize[side].inverted;
-            ridges.run(luma, pictures[side].mask(), &areas[side], dark, half_px[side]);
+            ridges.run(luma, pictures[side].mask(), &areas[side], dark, half_px[side], end);
         };
         let [left_ridges, right_ridges] = &mut *ridges;
         both(second, || look(left_ridges, left, 0), || look(right_ridges, right, 1));
+        // What may have been broken off is not looked at, now or when it is done again.
+        if looking.is_over() {
+            return false;
+        }
         let down = grasp::down_in_left(&params.grasp);
         let slope_sin_max = params.slope_rad_max.sin();
         let [left, right] = [0, 1].map(|side: usize| {

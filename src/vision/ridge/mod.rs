@@ -33,7 +33,7 @@
 //! let mut everywhere = Area::new(width, height);
 //! everywhere.include(width / 2, height / 2, width);
 //! let mut ridges = Ridges::new(Params::default(), width, height);
-//! ridges.run(LumaView::new(&frame).unwrap(), &mask, &everywhere, false, 4.0);
+//! ridges.run(LumaView::new(&frame).unwrap(), &mask, &everywhere, false, 4.0, None);
 //! let mut rows: Vec<f64> = ridges.stretches().iter().map(|s| s.ends_px[0].y).collect();
 //! rows.sort_by(f64::total_cmp);
 //! assert_eq!(rows.iter().map(|y| y.round()).collect::<Vec<_>>(), [28.0, 36.0]);
@@ -47,6 +47,7 @@ use nalgebra::{Matrix2, Vector2};
 use super::bits::{BitImage, nearest};
 use crate::frame::LumaView;
 use crate::level::Level;
+use crate::time::Timestamp;
 use points::{Finder, Point};
 
 pub use area::Area;
@@ -128,12 +129,20 @@ impl Ridges {
         &self.stretches
     }
 
-    /// Finds the stretches of wire about `half_width_px` thick to both sides of its middle, within `area`.
+    /// Finds the stretches of wire about `half_width_px` thick to both sides of its middle, within `area`, until `end`.
     /// `dark`: the wire is darker than the floor.
     ///
     /// # Panics
     /// Where the sizes differ from those in [`Ridges::new`].
-    pub fn run(&mut self, luma: LumaView, mask: &BitImage, area: &Area, dark: bool, half_width_px: f64) {
+    pub fn run(
+        &mut self,
+        luma: LumaView,
+        mask: &BitImage,
+        area: &Area,
+        dark: bool,
+        half_width_px: f64,
+        end: Option<Timestamp>,
+    ) {
         assert_eq!((luma.width(), luma.width() * luma.height()), (self.width, self.map.len()), "size");
         for p in &self.points {
             self.map[pixel_of(p.at, self.width)] = 0;
@@ -141,12 +150,12 @@ impl Ridges {
         self.points.clear();
         self.stretches.clear();
         let sigma = self.params.sigma_half_widths * half_width_px;
-        self.finder.run(luma, mask, area, dark, sigma, &mut self.points);
+        self.finder.run(luma, mask, area, dark, sigma, end, &mut self.points);
         for (p, number) in self.points.iter().zip(1..) {
             self.map[pixel_of(p.at, self.width)] = number;
         }
         for seed in 0..self.points.len() {
-            if self.stretches.len() == self.params.stretches_max {
+            if self.stretches.len() == self.params.stretches_max || end.is_some_and(Timestamp::is_past) {
                 return;
             }
             if !self.points[seed].taken
@@ -301,7 +310,7 @@ mod tests {
     fn stretches(wires: &[[[f64; 2]; 2]]) -> Vec<Stretch> {
         let (frame, mask) = picture(wires);
         let mut ridges = Ridges::new(Params::default(), frame.width, frame.height);
-        ridges.run(LumaView::new(&frame).unwrap(), &mask, &whole(), false, 3.5);
+        ridges.run(LumaView::new(&frame).unwrap(), &mask, &whole(), false, 3.5, None);
         ridges.stretches().to_vec()
     }
 
@@ -339,12 +348,12 @@ mod tests {
         let luma = LumaView::new(&frame).unwrap();
         let mut area = Area::new(frame.width, frame.height);
         area.include(90, 60, 10);
-        ridges.run(luma, &mask, &area, false, 3.5);
+        ridges.run(luma, &mask, &area, false, 3.5, None);
         let [from, to] = ridges.stretches()[0].ends_px;
         assert!(from.x > 79.0 && to.x < 101.0 && (to.x - from.x) > 18.0, "{from} {to}");
         area.clear();
         area.include(90, 100, 10);
-        ridges.run(luma, &mask, &area, false, 3.5);
+        ridges.run(luma, &mask, &area, false, 3.5, None);
         assert!(ridges.stretches().is_empty());
     }
 
@@ -353,12 +362,14 @@ mod tests {
         let (frame, mask) = picture(&[[[20.0, 60.0], [140.0, 60.0]]]);
         let luma = LumaView::new(&frame).unwrap();
         let mut ridges = Ridges::new(Params::default(), frame.width, frame.height);
-        ridges.run(luma, &mask, &whole(), false, 3.5);
+        ridges.run(luma, &mask, &whole(), false, 3.5, None);
         let first = ridges.stretches().to_vec();
         assert!(!first.is_empty());
-        ridges.run(luma, &BitImage::new(frame.width, frame.height), &whole(), false, 3.5);
+        ridges.run(luma, &BitImage::new(frame.width, frame.height), &whole(), false, 3.5, None);
         assert!(ridges.stretches().is_empty());
-        ridges.run(luma, &mask, &whole(), false, 3.5);
+        ridges.run(luma, &mask, &whole(), false, 3.5, Some(Timestamp(0)));
+        assert!(ridges.stretches().is_empty(), "time is over");
+        ridges.run(luma, &mask, &whole(), false, 3.5, None);
         assert_eq!(ridges.stretches(), first);
     }
 }

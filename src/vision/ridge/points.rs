@@ -6,6 +6,7 @@
 use super::Area;
 use crate::frame::LumaView;
 use crate::level::Level;
+use crate::time::Timestamp;
 use crate::vision::bits::BitImage;
 
 #[derive(Clone, Copy, Debug)]
@@ -74,6 +75,8 @@ struct Task<'a> {
     kernels: Kernels,
     /// The Gaussian's variance.
     scale: f32,
+    /// When to stop.
+    end: Option<Timestamp>,
 }
 
 impl Finder {
@@ -88,7 +91,8 @@ impl Finder {
         }
     }
 
-    /// Appends the points to `points`, as many as it has room for. `sigma` is the Gaussian's, in pixels.
+    /// Appends the points to `points`, as many as it has room for, until `end`. `sigma` is the Gaussian's, in pixels.
+    #[expect(clippy::too_many_arguments)]
     pub(super) fn run(
         &mut self,
         luma: LumaView,
@@ -96,12 +100,13 @@ impl Finder {
         area: &Area,
         dark: bool,
         sigma: f64,
+        end: Option<Timestamp>,
         points: &mut Vec<Point>,
     ) {
         let sigma = sigma.clamp(SIGMA_PX_MIN, REACH_MAX as f64 / 3.0);
         let sign = if dark { -1.0 } else { 1.0 };
         let task =
-            Task { luma, mask, area, sign, kernels: Kernels::new(sigma), scale: (sigma * sigma) as f32 };
+            Task { luma, mask, area, sign, kernels: Kernels::new(sigma), scale: (sigma * sigma) as f32, end };
         match self.level {
             // SAFETY: `Level::detect` and `Level::available` name only levels that the machine has.
             #[cfg(target_arch = "x86_64")]
@@ -130,6 +135,9 @@ impl Finder {
         let (reach, height) = (task.kernels.reach, task.luma.height());
         self.smoothed.fill(0);
         for y in 0..height {
+            if task.end.is_some_and(Timestamp::is_past) {
+                return;
+            }
             for strip in 0..self.smoothed.len() {
                 let word = task.mask.strip(strip)[y] & task.area.row(strip, y);
                 if word == 0 {
@@ -290,7 +298,7 @@ mod tests {
             .map(|&level| {
                 let mut points = Vec::with_capacity(width * height);
                 let luma = LumaView::new(&frame).unwrap();
-                Finder::new(3.5, width, level).run(luma, &mask, &area, false, 1.3, &mut points);
+                Finder::new(3.5, width, level).run(luma, &mask, &area, false, 1.3, None, &mut points);
                 points.iter().map(|p| [p.at[0], p.at[1], p.along[0], p.along[1]]).collect()
             })
             .collect();
