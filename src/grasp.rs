@@ -141,6 +141,11 @@ pub fn down_in_left(params: &Params) -> Vector3<f64> {
     }
 }
 
+/// How far apart the fingers are when they come down on a part.
+pub fn opening_mm(gripper: &Gripper, part: &Part) -> f64 {
+    part.grasp.width_mm.max(part.thickness_mm + gripper.clearance_mm)
+}
+
 /// The grasp of a part, whether or not it can be reached.
 pub fn grasp_of(params: &Params, placed: &Placed) -> Grasp {
     let out_from_left = params.base_from_left.unwrap_or_default();
@@ -161,7 +166,7 @@ pub fn grasp_of(params: &Params, placed: &Placed) -> Grasp {
         position_mm: out_from_part * file.position_mm,
         axis: wire,
         orientation: UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes)),
-        opening_mm: file.width_mm.max(placed.part.thickness_mm + gripper.clearance_mm),
+        opening_mm: opening_mm(gripper, placed.part),
         tilt_rad: approach.angle(&down),
     }
 }

@@ -13,7 +13,7 @@
 //! let scene = DrawnScene::new(2, 3, 1); // three rods, two nodes each
 //! let candidates = &scene.candidates;
 //! let mut table = LengthTable::new(candidates.all().len());
-//! table.fill(&scene.model, candidates, 6.0, false);
+//! table.fill(&scene.model, candidates, 6.0, false, &Budget::Iterations(0));
 //! let mut pool = Pool::Gated { candidates, table: &table, by_length: false };
 //! let (mut found, mut used) = (Found::new(16), 0);
 //! let mut dice = Dice(rand_pcg::Pcg32::seed_from_u64(1));

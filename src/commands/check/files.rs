@@ -3,11 +3,12 @@
 use std::path::Path;
 use std::time::{Duration, SystemTime};
 
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 
 use super::Findings;
 use crate::camera::replay::is_only_of;
 use crate::config::{Backend, Cell};
+use crate::grasp;
 use crate::part::Part;
 use crate::rig::Rig;
 use crate::session::Session;
@@ -29,6 +30,7 @@ pub(super) fn check(cell: &Cell, findings: &mut Findings) -> Option<Rig> {
         Ok(parts) => {
             let names: Vec<_> = parts.iter().map(|part| part.name.as_str()).collect();
             findings.ok("parts", names.join(", "));
+            gripper(cell, &parts, findings);
         }
         Err(error) => findings.wrong("parts", error.to_string()),
     }
@@ -39,6 +41,43 @@ pub(super) fn check(cell: &Cell, findings: &mut Findings) -> Option<Rig> {
         region(cell, rig, findings);
     }
     rig
+}
+
+/// Whether the gripper can take the parts, and the last gate lets it.
+fn gripper(cell: &Cell, parts: &[Part], findings: &mut Findings) {
+    let (gripper, workspace) = (&cell.arm_side.gripper, &cell.arm_side.workspace);
+    for part in parts {
+        let opening_mm = grasp::opening_mm(gripper, part);
+        if opening_mm > gripper.opening_max_mm {
+            findings.warning(
+                "gripper",
+                format!(
+                    "{} needs {opening_mm} mm between the fingers, they open to {} mm",
+                    part.name, gripper.opening_max_mm
+                ),
+                "see gripper.opening_max_mm, gripper.clearance_mm and the part's grasp.width_mm: it will never be taken",
+            );
+        }
+    }
+    let farthest_mm = gripper.approach_mm.max(gripper.retreat_mm);
+    if farthest_mm > workspace.jump_max_mm {
+        findings.error(
+            "gripper",
+            format!("it comes from and goes {farthest_mm} mm away, workspace.jump_max_mm is {}", workspace.jump_max_mm),
+            "make gripper.approach_mm and gripper.retreat_mm smaller: the last gate would refuse every target",
+        );
+    }
+    let thickest_mm = parts.iter().map(|part| part.thickness_mm).fold(0.0, f64::max);
+    if let Some(place) = &cell.place {
+        let is_short = |count: u32, step_mm: &Vector3<f64>| count > 1 && step_mm.norm() < thickest_mm;
+        if is_short(place.columns, &place.column_step_mm) || is_short(place.rows, &place.row_step_mm) {
+            findings.warning(
+                "place",
+                format!("slots are nearer to each other than a part is thick, {thickest_mm} mm"),
+                "see place.column_step_mm and place.row_step_mm: parts are put on each other",
+            );
+        }
+    }
 }
 
 fn calibration(cell: &Cell, findings: &mut Findings) -> Option<Rig> {

@@ -70,6 +70,9 @@ fn what_would_keep_the_cell_from_picking_ends_with_1() {
         text.contains("slot in column 1 of row 1 at (160.0, 170.0, 20.0) mm is outside the workspace"),
         "{text}"
     );
+    let (code, text) = complaint("# jump_max_mm = 150.0", "jump_max_mm = 20.0");
+    assert_eq!(code, 1);
+    assert!(text.contains("workspace.jump_max_mm is 20 → make gripper.approach_mm"), "{text}");
     let (code, text) = complaint("link = \"replay\"", "link = \"serial\"\nport = \"/dev/none\"");
     assert_eq!(code, 1);
     assert!(text.contains("/dev/none: there is no such port → plug the arm in"), "{text}");
@@ -142,4 +145,22 @@ fn every_picture_of_a_session_is_looked_at() {
     fs::write(&last, "no picture").expect("a file");
     let (code, text) = complaint("session = \"replay/conveyor\"", &session);
     assert_eq!((code, text.contains("right/0001.jpg")), (2, true), "{text}");
+}
+
+#[test]
+fn what_the_gripper_cannot_take_and_the_tray_cannot_hold_is_a_warning() {
+    let (code, text) = complaint("opening_max_mm = 30.0", "opening_max_mm = 5.0");
+    assert_eq!(code, 0);
+    assert!(text.contains("gripper: rod-90 needs 8 mm between the fingers, they open to 5 mm"), "{text}");
+    let (code, text) = complaint("column_step_mm = [20.0, 0.0, 0.0]", "column_step_mm = [0.5, 0.0, 0.0]");
+    assert_eq!(code, 0);
+    assert!(text.contains("place: slots are nearer to each other than a part is thick, 3 mm"), "{text}");
+    let calibration = project().join("replay/conveyor/calibration.yaml");
+    let rig = fs::read_to_string(&calibration).expect("a calibration");
+    let (folder, cell) =
+        changed("calibration = \"replay/conveyor/calibration.yaml\"", "calibration = \"rig.yaml\"");
+    let exchanged = rig.replacen("-63.789745829089803", "63.789745829089803", 1);
+    fs::write(folder.path().join("rig.yaml"), exchanged).expect("a file");
+    let said = findings(&cell).in_words();
+    assert!(said.contains("the right camera stands at the left of the left one"), "{said}");
 }
