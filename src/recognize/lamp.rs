@@ -18,6 +18,10 @@ const ALONG_WEIGHT: f64 = 0.02;
 /// How many parts speak for a lamp straight above, unseen.
 const ABOVE_PARTS: f64 = 0.3;
 
+/// Farther no lamp above the bin displaces wire: at 45 degrees its light reaches from there on one side to the rim on the
+/// other, and the middle lies 0.15 radii beside the axis.
+const LAMP_RADII_MAX: f64 = 0.25;
+
 /// How light lies on the wire of one part: the equations of where it lies, in half widths along x and y of the left camera.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Light {
@@ -61,7 +65,8 @@ pub(super) fn lamp_radii(lights: &[Light], per_skew: f64) -> Vector2<f64> {
     let normal =
         lights.iter().map(|light| light.normal).sum::<Matrix2<f64>>() + Matrix2::identity() * ABOVE_PARTS;
     let right_side = lights.iter().map(|light| light.right_side).sum::<Vector2<f64>>();
-    normal.try_inverse().map_or(Vector2::zeros(), |inverse| inverse * right_side) * per_skew
+    let lamp = normal.try_inverse().map_or(Vector2::zeros(), |inverse| inverse * right_side) * per_skew;
+    lamp.cap_magnitude(LAMP_RADII_MAX)
 }
 
 #[cfg(test)]
@@ -87,6 +92,7 @@ mod tests {
         assert!((found - lamp).norm() < 0.01, "{found}");
         assert!((lamp_radii(&lights, 1.2) - found * 1.2).norm() < 1e-9);
         assert_eq!(lamp_radii(&[], 1.0), Vector2::zeros());
+        assert!((lamp_radii(&lights, 99.0).norm() - LAMP_RADII_MAX).abs() < 1e-9);
         // One alone is not believed altogether, and displaced across only.
         let one = straight(0.0, 0.1);
         let found = lamp_radii(&[one], 1.0);
