@@ -153,13 +153,13 @@ impl Budget {
     pub fn is_spent(&self, used: u64) -> bool {
         match *self {
             Budget::Iterations(n) | Budget::Repeated(Spent { iterations: n, .. }) => used >= n,
-            Budget::Until(end) => used.is_multiple_of(Self::CLOCK_STRIDE) && Timestamp::now() >= end,
+            Budget::Until(end) => used.is_multiple_of(Self::CLOCK_STRIDE) && end.is_past(),
         }
     }
 
     /// Whether its moment has come; a count of iterations has none.
     pub fn is_over(&self) -> bool {
-        matches!(*self, Budget::Until(end) if Timestamp::now() >= end)
+        matches!(*self, Budget::Until(end) if end.is_past())
     }
 
     /// Whether its moment has come, or had when the recognition was made first.
@@ -228,7 +228,7 @@ impl Watch {
     /// Whether time is over.
     pub fn is_over(&mut self) -> bool {
         self.rang |= match self.rings {
-            Rings::At(end) => Timestamp::now() >= end,
+            Rings::At(end) => end.is_past(),
             Rings::After(asked) => self.asked >= asked,
             Rings::Never => false,
         };

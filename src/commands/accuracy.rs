@@ -52,7 +52,7 @@ pub fn run(args: &Accuracy) -> Result<u8, Box<dyn std::error::Error>> {
     if let Some(unknown) = args.sets.iter().find(|name| !sets.iter().any(|set| set.name == **name)) {
         let known: Vec<&str> = sets.iter().map(|set| set.name.as_str()).collect();
         return Err(format!(
-            "--set {unknown}: there is no such set in {}; there are {}",
+            "--set {unknown}: there is no such set in {}; known: {}",
             args.root.display(),
             known.join(", ")
         )

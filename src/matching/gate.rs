@@ -32,8 +32,8 @@ pub struct GateParams {
     pub gap_px_max: f64,
     /// The same where one of them is a junction, whose place depends on what crosses there.
     pub junction_gap_px_max: f64,
-    /// Distance from the epipolar line at most with [`Mode::None`], in pixels. The default costs a match of two nodes a
-    /// fitness of 2.
+    /// Distance from the epipolar line at most with [`Mode::None`], in pixels. One such node costs a match of two a
+    /// fitness of 1 by default.
     pub open_gap_px_max: f64,
     /// Depth of a part's points in the left camera's frame, in mm.
     pub depth_mm: [f64; 2],

@@ -52,6 +52,9 @@ impl Profiler<'_> {
         search_px: f64,
         look: EndLook,
     ) -> Option<f64> {
+        if !(0.0..=SEARCH_PX_MAX).contains(&search_px) {
+            return None;
+        }
         let samples_per_px = match look {
             EndLook::Quick => 1.0,
             EndLook::Close => 2.0,
@@ -60,9 +63,6 @@ impl Profiler<'_> {
         // Of thick wire, as much as a line has samples for.
         let inside_max_px = (SAMPLES_MAX - 1) as f64 / samples_per_px - outside_px;
         let inside_px = (3.0 * half_width_px).max(search_px + 2.0).min(inside_max_px);
-        if !(0.0..=SEARCH_PX_MAX).contains(&search_px) {
-            return None;
-        }
         let count = ((inside_px + outside_px) * samples_per_px) as usize + 1;
         let beside = Vector2::new(-outward.y, outward.x) * half_width_px;
         let step = outward / samples_per_px;

@@ -45,10 +45,8 @@ impl Light {
                 count += 1.0;
             }
         }
-        Self {
-            normal: light.normal / f64::max(count, 1.0),
-            right_side: light.right_side / f64::max(count, 1.0),
-        }
+        let count = f64::max(count, 1.0);
+        Self { normal: light.normal / count, right_side: light.right_side / count }
     }
 
     /// How far a lamp displaces the part, in radii, where it displaces wire by `lamp_radii` across: what fits all its wire best,

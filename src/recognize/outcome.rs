@@ -69,6 +69,8 @@ impl Recognizer {
                 }
             });
         }
+        // What was moved since it was judged may show a node less. It is in the way of others none the less.
+        out.parts.retain(|f| f.fitness < params.search.fitness_max);
         // What may not be there at all comes last.
         let rank = |f: &FoundPart| match f.blocked {
             None => 0,

@@ -295,7 +295,7 @@ impl File {
             return Err(self.value(
                 coefficients,
                 &value,
-                "cannot be undone in the middle of the picture; calibrate again",
+                "no lens does so: in the middle of the picture it cannot be undone, or multiplies angles; calibrate again",
             ));
         }
         Ok(camera)

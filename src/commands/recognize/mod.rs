@@ -77,14 +77,10 @@ fn check_overlay(path: &Path, args: &RecognizeArgs) -> Result<(), RecognizeError
 
 /// Removes what an earlier run wrote, so that it does not seem to be from this one.
 fn remove_file(path: &Path) -> Result<(), RecognizeError> {
-    match fs::remove_file(path) {
-        Err(source)
-            if source.kind() != io::ErrorKind::NotFound && source.kind() != io::ErrorKind::NotADirectory =>
-        {
-            Err(RecognizeError::Write { path: path.to_owned(), source })
-        }
-        _ => Ok(()),
-    }
+    fs::remove_file(path).or_else(|source| match source.kind() {
+        io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => Ok(()),
+        _ => Err(RecognizeError::Write { path: path.to_owned(), source }),
+    })
 }
 
 /// The work on all pairs.
