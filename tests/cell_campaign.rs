@@ -19,6 +19,8 @@ use pickcell::cell::core::{
 use pickcell::cell::desk::{ColdSeat, Desk, GrabSeat, Letter, Paper, Seats};
 use pickcell::frame::Frame;
 use pickcell::time::Timestamp;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
 
 const MS: i64 = 1_000_000;
 const PERIOD_NS: i64 = 33 * MS;
@@ -51,12 +53,13 @@ struct Campaign<'a> {
     carrier: Carrier<'a>,
     now: Timestamp,
     told: Told,
+    rng: Pcg64Mcg,
 }
 
 impl Campaign<'_> {
-    /// A period passes, with every turn that core and arm ask for in it, then a pair comes and shows a part.
-    fn period(&mut self, x_mm: f64) {
-        let until = Timestamp(self.now.0 + PERIOD_NS);
+    /// Time passes, with every turn that core and arm ask for in it.
+    fn pass(&mut self, ns: i64) {
+        let until = Timestamp(self.now.0 + ns);
         self.carrier.turn(self.now);
         let mut turns = 0;
         while let Some(turn) = self.carrier.next_turn().filter(|&turn| turn < until) {
@@ -66,6 +69,11 @@ impl Campaign<'_> {
             assert!(turns < 20_000, "core or arm ask for themselves again and again");
         }
         self.now = until;
+    }
+
+    /// A period passes, then a pair comes and shows a part, which is found sooner or later, or too late.
+    fn period(&mut self, x_mm: f64) {
+        self.pass(PERIOD_NS);
         for side in Side::BOTH {
             let mut frame: Frame = self.grabs[side.index()].free.pop().expect("every frame comes back");
             frame.timestamp = self.now;
@@ -75,7 +83,8 @@ impl Campaign<'_> {
             let mut found = Found { parts: 1, ..Found::default() };
             let pose = Pose { position_mm: [x_mm, 50.0, 10.0], orientation_xyzw: [1.0, 0.0, 0.0, 0.0] };
             found.push(Candidate { part: 0, fitness: 0.1, grasp: Grasp(pose), opening_mm: 8.0 });
-            self.now = Timestamp(self.now.0 + 2 * MS);
+            let search_ns = self.rng.random_range(2 * MS..70 * MS);
+            self.pass(search_ns);
             self.carrier.letter(Letter::Recognised(work.job.pair.number, found, work.file), self.now);
         }
         self.read();
@@ -161,7 +170,14 @@ fn run(seed: u64, settings: &Settings) -> (u32, u64) {
     let start = Timestamp(1_000_000 * MS);
     let arm = Arm::Linked(Box::new(Link::Simulated(link)));
     let carrier = Carrier::new(&desk, hub, Core::new(params(), settings, start), arm);
-    let mut campaign = Campaign { grabs, cold, carrier, now: start, told: Told::default() };
+    let mut campaign = Campaign {
+        grabs,
+        cold,
+        carrier,
+        now: start,
+        told: Told::default(),
+        rng: Pcg64Mcg::seed_from_u64(seed),
+    };
     for period in 0..400 {
         campaign.release();
         campaign.period(f64::from(period % 20) * 10.0 - 100.0);

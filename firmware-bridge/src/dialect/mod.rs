@@ -10,7 +10,8 @@
 //!   [`Report::Lost`]);
 //! - `on_bytes(bytes, now_ns)`: bytes that arrived; at most 256 a call, then `poll` until it gives `None`;
 //! - `command(command, now_ns)`: `Ok` = every pick taken ends with exactly one report
-//!   (`Done`/`Failed`/`Refused`/`Lost`); `Err` = it was not taken at all. `Hold` is never refused;
+//!   (`Done`/`Failed`/`Refused`/`Lost`); `Err` = it was not taken at all. After either an arm that takes the next one
+//!   says [`Report::Ready`], also where it was ready before. `Hold` is never refused;
 //! - `poll(now_ns)`: time passes; the next report. Call it until `None`, at every wake-up and by
 //!   `next_deadline_ns`;
 //! - `transmit(now_ns, out)`: the next bytes to write **now**. Call it again only when they are written. The

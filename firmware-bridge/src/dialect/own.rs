@@ -68,6 +68,13 @@ struct Timing {
     byte_ns: i64,
 }
 
+impl Timing {
+    /// When the last byte of a packet that is made now is on the wire at the latest.
+    fn written_ns(&self, now_ns: i64) -> i64 {
+        now_ns + PACKET_LEN_MAX as i64 * self.byte_ns
+    }
+}
+
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Phase {
     /// No port.
@@ -244,7 +251,11 @@ impl Own {
                 self.start_hold(now_ns);
                 Ok(())
             }
-            Command::Pick(pick) => self.take_pick(pick, now_ns),
+            Command::Pick(pick) => self.take_pick(pick, now_ns).inspect_err(|_| {
+                if self.announced == Announced::Ready {
+                    self.reports.push(Report::Ready { clear_of_view: self.clear_of_view });
+                }
+            }),
             Command::Release => self.enqueue(Body::Release, now_ns),
             Command::Query { id } => self.enqueue(Body::Query { id }, now_ns),
             Command::Unlock => self.enqueue(Body::Unlock, now_ns),

@@ -194,7 +194,11 @@ impl<W: Wire> Driver<W> {
     /// What the cell says. `Err`: it was not taken.
     pub fn command(&mut self, command: Command, now_ns: i64) -> Result<(), Refusal> {
         match command {
-            Command::Pick(pick) => self.take_pick(pick, now_ns),
+            Command::Pick(pick) => self.take_pick(pick, now_ns).inspect_err(|_| {
+                if self.phase == Phase::Ready && self.alarm.is_none() {
+                    self.reports.push(Report::Ready { clear_of_view: self.clear_of_view });
+                }
+            }),
             Command::Hold => {
                 if self.phase != Phase::Down {
                     self.begin_stop(Failure::Held, HeldBy::Command, now_ns);

@@ -286,7 +286,14 @@ impl RecordedLink {
     /// See [`super::Link::command`].
     pub fn command(&mut self, command: Command, now_ns: i64) -> Result<(), Refusal> {
         match command {
-            Command::Pick(pick) => return self.take(&pick, now_ns),
+            Command::Pick(pick) => {
+                return self.take(&pick, now_ns).inspect_err(|_| {
+                    if self.ready {
+                        let clear_of_view = self.not_before_ns != i64::MAX;
+                        self.say(now_ns, Report::Ready { clear_of_view });
+                    }
+                });
+            }
             Command::Hold => {
                 self.interrupt(now_ns);
                 if self.state != State::Absent {

@@ -110,6 +110,42 @@ fn what_the_gate_refuses_never_moves_anything() {
 }
 
 #[test]
+fn an_arm_that_did_not_get_a_pick_says_again_that_it_is_ready() {
+    for_all(|bench, dialect| {
+        bench.make_ready();
+        let (mut not_taken, mut refused) = (0, 0);
+        // The oldest ones the link refuses at once; the younger ones are too old when the bridge has them, or when their
+        // bytes were on the wire.
+        for late_us in [5_000, 10, -10, -5_000, -5_500, -7_500, -10_000, -12_500] {
+            let mut pick = bench.pick(1);
+            bench.run(100 * MS);
+            pick.seen.left_ns = bench.now_ns - 66 * MS - late_us * 1000;
+            pick.seen.right_ns = pick.seen.left_ns;
+            pick.ttl_ms = pick.deadline_ms;
+            let said = bench.reports.len();
+            not_taken += u32::from(bench.command(Command::Pick(pick)).is_err());
+            let at_once = bench.reports[said..].iter().any(|(_, report)| is_ready(report));
+            assert!(
+                at_once || bench.run_until(60_000 * MS, is_ready),
+                "{dialect:?} {late_us}: {}",
+                bench.tail()
+            );
+            refused +=
+                bench.reports[said..].iter().filter(|(_, r)| matches!(r, Report::Refused { .. })).count();
+        }
+        assert!(not_taken >= 2 && refused >= 1, "{dialect:?}: {not_taken} not taken, {refused} refused");
+        bench.run(200 * MS);
+        let pick = bench.pick(2);
+        bench.command(Command::Pick(pick)).unwrap();
+        assert!(
+            bench.run_until(60_000 * MS, |r| *r == Report::Done { id: 2 }),
+            "{dialect:?}: {}",
+            bench.tail()
+        );
+    });
+}
+
+#[test]
 fn a_hold_stops_a_motion_within_50_ms_and_only_a_release_ends_it() {
     for_all(|bench, dialect| {
         bench.make_ready();

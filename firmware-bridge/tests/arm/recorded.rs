@@ -289,6 +289,8 @@ fn an_arm_that_does_not_say_when_it_is_clear_gets_its_dwell() {
     replay.now_ns += 200 * MS;
     let early = replay.pick(1);
     assert_eq!(replay.link.command(Command::Pick(early), replay.now_ns), Err(Refusal::SeenTooEarly));
+    let again = replay.link.poll(replay.now_ns);
+    assert!(matches!(again, Some(Report::Ready { .. })), "as ready as before: {again:?}");
     replay.now_ns += 200 * MS;
     let pick = replay.pick(1);
     assert_eq!(replay.link.command(Command::Pick(pick), replay.now_ns), Ok(()));

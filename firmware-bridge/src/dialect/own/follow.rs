@@ -138,7 +138,8 @@ impl Own {
         let id = current.pick.id;
         let head = self.queue[0].filter(|head| head.sequence == current.sequence);
         let spent = head.is_none_or(|head| head.attempts > self.timing.resends);
-        if spent || self.gate.check_time(&current.pick, now_ns, self.not_before_ns).is_err() {
+        let written_ns = self.timing.written_ns(now_ns);
+        if spent || self.gate.check_time(&current.pick, written_ns, self.not_before_ns).is_err() {
             if head.is_some() {
                 self.drop_head();
             }

@@ -2,7 +2,7 @@
 //! pass.
 
 use super::{Announced, Body, Current, MS, Own, Pending, Phase};
-use crate::codec::{self, PACKET_LEN_MAX, ToArm, ToArmBody, WirePick};
+use crate::codec::{self, ToArm, ToArmBody, WirePick};
 use crate::dialect::Transmit;
 use crate::message::{Pick, Refusal, Report};
 
@@ -45,9 +45,8 @@ impl Own {
             return Transmit::default();
         };
         let pick = current.pick;
-        let written_ns = now_ns + PACKET_LEN_MAX as i64 * self.timing.byte_ns;
-        let checked = self.gate.check_time(&pick, written_ns, self.not_before_ns);
-        let checked = checked.and_then(|()| self.gate.check_geometry(&pick));
+        let written_ns = self.timing.written_ns(now_ns);
+        let checked = self.gate.check(&pick, written_ns, self.not_before_ns);
         let spent = head.attempts > self.timing.resends;
         if let Some(refusal) = checked.err().or(spent.then_some(Refusal::NotAcknowledged)) {
             if current.transmitted {

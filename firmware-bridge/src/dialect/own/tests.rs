@@ -79,6 +79,7 @@ fn a_ready_arm_that_comes_into_the_view_says_so_and_is_not_moved_by_what_was_see
     assert_eq!(reports(&mut own, 830 * MS), [Report::Ready { clear_of_view: false }]);
     let pick = Command::Pick(crate::gate::tests::pick());
     assert_eq!(own.command(pick, 1010 * MS), Err(Refusal::SeenTooEarly));
+    assert_eq!(reports(&mut own, 1010 * MS), [Report::Ready { clear_of_view: false }]);
     status.clear_of_view = true;
     hear(&mut own, FromArm::Status(status), 990 * MS);
     assert_eq!(reports(&mut own, 990 * MS), [Report::ClearOfView]);
@@ -98,6 +99,27 @@ fn a_pick_that_waited_for_the_line_is_checked_again_when_its_bytes_are_made() {
     }
     let refusal = Refusal::Stale { age_ms: 76, max_ms: 66 };
     assert_eq!(reports(&mut own, 1055 * MS), [Report::Refused { id: 7, refusal }]);
+}
+
+#[test]
+fn a_lost_pick_is_not_made_anew_where_its_bytes_would_be_late() {
+    let (mut own, status) = ready();
+    let mut bytes = [0; crate::dialect::TRANSMIT_LEN_MIN];
+    own.command(Command::Pick(crate::gate::tests::pick()), 1010 * MS).unwrap();
+    while own.transmit(1010 * MS, &mut bytes).pick.is_none() {}
+    reports(&mut own, 1010 * MS);
+    // At 1055 ms the pick is fresh, its last byte would not be; the heartbeat proves that the first packet is lost.
+    let mut heartbeats = 0;
+    while own.transmit(1055 * MS, &mut bytes).len > 0 {
+        heartbeats += 1;
+        assert!(heartbeats < 10, "heartbeats without a pause");
+        let echoed = codec::Status { echo: own.beat.number, ..status };
+        hear(&mut own, FromArm::Status(echoed), 1055 * MS);
+    }
+    let refused = Report::Refused { id: 7, refusal: Refusal::NotAcknowledged };
+    let ready = Report::Ready { clear_of_view: true };
+    let said = reports(&mut own, 1055 * MS);
+    assert!(said.contains(&refused) && said.contains(&ready), "{said:?}");
 }
 
 proptest! {

@@ -40,7 +40,7 @@ enum State {
     OnHold,
     InAlarm,
     Busy,
-    Ready,
+    Ready { clear_of_view: bool },
 }
 
 impl CellEnd {
@@ -81,7 +81,11 @@ impl CellEnd {
             Command::Hold if !self.up => {}
             Command::Hold => self.put_hold(),
             _ if !self.up || self.state == State::NotConnected => return Err(Refusal::NotConnected),
-            Command::Pick(pick) => self.take_pick(pick, now_ns)?,
+            Command::Pick(pick) => self.take_pick(pick, now_ns).inspect_err(|_| {
+                if let State::Ready { clear_of_view } = self.state {
+                    self.reports.push(Report::Ready { clear_of_view });
+                }
+            })?,
             _ => self.put(command)?,
         }
         Ok(())
@@ -169,7 +173,7 @@ impl CellEnd {
         if self.record.newest.wrapping_sub(self.acked) < COMMANDS as u32 {
             self.force(Command::Hold);
         }
-        if self.state == State::Ready {
+        if matches!(self.state, State::Ready { .. }) {
             self.state = State::OnHold;
         }
     }
@@ -179,7 +183,7 @@ impl CellEnd {
             return Err(Refusal::WrongSession { current: self.session });
         }
         match self.state {
-            State::Ready if self.current.is_none() => {}
+            State::Ready { .. } if self.current.is_none() => {}
             State::OnHold => return Err(Refusal::OnHold),
             State::InAlarm => return Err(Refusal::InAlarm),
             _ => return Err(Refusal::Busy),
@@ -240,9 +244,14 @@ impl CellEnd {
             Report::Disconnected { .. } => self.state = State::NotConnected,
             Report::Held { .. } => self.state = State::OnHold,
             Report::Alarm { .. } => self.state = State::InAlarm,
-            Report::ClearOfView => self.not_before_ns = now_ns,
+            Report::ClearOfView => {
+                self.not_before_ns = now_ns;
+                if let State::Ready { clear_of_view } = &mut self.state {
+                    *clear_of_view = true;
+                }
+            }
             Report::Ready { clear_of_view } => {
-                self.state = State::Ready;
+                self.state = State::Ready { clear_of_view };
                 self.not_before_ns = now_ns + if clear_of_view { 0 } else { self.clear_dwell_ns };
             }
             Report::Done { id }

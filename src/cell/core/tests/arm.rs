@@ -67,6 +67,35 @@ fn a_pair_counts_only_if_both_frames_are_later_than_clear_of_view_and_the_last_e
 }
 
 #[test]
+fn a_picture_from_before_ready_does_not_count_though_the_arm_was_clear() {
+    let mut bench = Bench::new(params(), &settings(""));
+    bench.arm(Report::Connected { session: 3, held_by: HeldBy::Start });
+    bench.event(Event::Operator(Operator::Release));
+    bench.arm(Report::ClearOfView);
+    bench.pass(4 * MS);
+    bench.pair();
+    bench.pass(4 * MS);
+    bench.arm(Report::Ready { clear_of_view: true });
+    bench.event(Event::Recognised { pair: 1, found: found(&[PART]) });
+    assert_eq!(bench.outcome(), Some(Err(NoPick::NotClear)));
+    bench.pass(MS);
+    order(&mut bench);
+}
+
+#[test]
+fn after_a_target_that_was_not_taken_the_next_goes_out_when_the_link_says_ready() {
+    let mut bench = Bench::looking(params(), &settings(""));
+    let id = order(&mut bench).id;
+    bench.event(Event::NotTaken { id, refusal: Refusal::SeenTooEarly });
+    assert_eq!(bench.ends(), Some(TargetEnd::Refused(Refusal::SeenTooEarly)));
+    bench.pass(MS);
+    assert_eq!(bench.recognise(found(&[PART])), Err(NoPick::ArmNotReady));
+    bench.arm(Report::Ready { clear_of_view: true });
+    bench.pass(MS);
+    assert_eq!(order(&mut bench).id, id + 1);
+}
+
+#[test]
 fn a_stamp_at_the_end_of_the_frame_is_taken_for_a_period_earlier() {
     for (mark, ahead_ms, sent) in [
         (TimestampMark::StartOfExposure, 1, true),
