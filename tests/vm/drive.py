@@ -315,8 +315,10 @@ def main():
     else:
         shutil.rmtree(folder)
     if failed:
-        for line in guest.said().splitlines()[-20:] if folder.exists() else []:
-            print("   ", line[:300])
+        for name, count in [("run.log", 20), ("run.jsonl", 4)]:
+            path = guest.out / name
+            for line in path.read_text(errors="replace").splitlines()[-count:] if path.exists() else []:
+                print("   ", line[:300])
         print("vm: FAILED:", ", ".join(failed))
         return 1
     print("vm: every grasp was right, and the cell recovered from every fault")
