@@ -62,6 +62,9 @@ pub enum Blocked {
     /// The pose is not known well enough.
     #[error("pose too uncertain")]
     Uncertain,
+    /// The parts together tell that the right camera has turned, and by so much that not all of it is allowed for.
+    #[error("the right camera does not stand as it was calibrated")]
+    Turned,
     /// Time was over before all wire was looked at: what may lie on the part is not known.
     #[error("time was over before all wire was looked at")]
     OutOfTime,

@@ -1,5 +1,6 @@
 //! The hot stages allocate nothing after `new` and one run.
 
+use nalgebra::Vector3;
 use pickcell::frame::{Frame, FramePair, PixelFormat};
 use pickcell::level::Level;
 use pickcell::part::Part;
@@ -174,7 +175,7 @@ fn thin_and_graph_allocate_nothing_after_one_run() {
 }
 
 #[test]
-fn pictures_of_thick_wire_are_halved_and_recognised_without_an_allocation() {
+fn pictures_of_thick_wire_are_halved_and_a_turned_camera_allowed_for_without_an_allocation() {
     let replay = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("replay");
     let session = Session::open(&replay.join("conveyor")).unwrap();
     let Rig { left, right, right_from_left } = Rig::read(replay.join("conveyor/calibration.yaml")).unwrap();
@@ -188,6 +189,7 @@ fn pictures_of_thick_wire_are_halved_and_recognised_without_an_allocation() {
         ..c
     };
     let rig = Rig { left: twice(left), right: twice(right), right_from_left };
+    let rig = rig.with_right_turned(&Vector3::new(0.5 / right.fy, 0.0, 0.0));
     let rod = Part::read(replay.join("parts/rod-90.toml")).unwrap();
     let mut recognizer = Recognizer::new(Default::default(), rig, vec![rod]).unwrap();
     let pairs: Vec<FramePair> = session.pairs[..3]
@@ -206,6 +208,7 @@ fn pictures_of_thick_wire_are_halved_and_recognised_without_an_allocation() {
     let mut run = |pair: &FramePair| {
         recognizer.run(pair, Budget::Iterations(100_000), 1, &mut found).unwrap();
         assert_eq!(recognizer.pictures()[0].halvings(), 1);
+        assert!(found.turned.is_some_and(|turned| turned.allowed_for));
         found.parts.len()
     };
     run(&pairs[0]);

@@ -33,12 +33,20 @@ pub struct Accuracy {
     /// Random seed.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
+    /// As if the right camera had turned since the rig was calibrated, by so many pixels across the baseline.
+    #[arg(long, value_name = "PX", default_value_t = 0.0, allow_negative_numbers = true, value_parser = turned_px)]
+    pub turned_px: f64,
     /// Write OUT/SET/SCENE/results.json, as score.py reads them.
     #[arg(long)]
     pub out: Option<PathBuf>,
     /// A line for every wrong or missed part.
     #[arg(long)]
     pub verbose: bool,
+}
+
+fn turned_px(text: &str) -> Result<f64, String> {
+    let px = text.parse::<f64>().ok().filter(|px| px.abs() <= 10.0);
+    px.ok_or_else(|| "allowed: pixels, -10 to 10".to_owned())
 }
 
 /// Runs the command; gives the exit code.
@@ -86,6 +94,9 @@ fn say(line: &str) -> io::Result<()> {
 
 fn run_set(args: &Accuracy, set: &SceneSet, folder: &Path) -> Result<Score, Box<dyn std::error::Error>> {
     let rig = Rig::read(&set.calibration)?;
+    let baseline = (rig.right_from_left.inverse().translation.vector).normalize();
+    // The pictures stay: it is the calibration that is of before.
+    let rig = rig.with_right_turned(&(baseline * (-args.turned_px / rig.right.fy)));
     let paths: Vec<PathBuf> = set.parts.iter().map(|p| folder.join(format!("{p}.toml"))).collect();
     let parts = Part::read_all(&paths)?;
     let mut params = Params::default();

@@ -34,11 +34,12 @@ mod params;
 mod prepared;
 mod result;
 mod spread;
+mod turned;
 mod unexplained;
 mod unknown;
 mod views;
 
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Vector3};
 
 use crate::frame::{FramePair, LumaView};
 use crate::grasp::{self, Blocked};
@@ -53,14 +54,14 @@ use crate::picture::{Picture, halvings};
 use crate::pose::gloss::Gloss;
 use crate::pose::section::HALF_WAY;
 use crate::rig::Rig;
-use crate::time::{Budget, Timestamp, Watch};
+use crate::time::{Budget, Spent, Timestamp, Watch};
 use crate::vision::binarize;
 use crate::vision::ridge::{self, Ridges};
 
 use explanations::{Explanations, Scene};
 pub use params::Params;
 use prepared::Prepared;
-pub use result::{FoundNode, FoundPart, NoPick, Recognition, Refusal, Seen, Side, StageTimes};
+pub use result::{FoundNode, FoundPart, NoPick, Recognition, Refusal, Seen, Side, StageTimes, Turned};
 use unexplained::{is_claimed, unexplained_px};
 use unknown::Unknown;
 use views::{lit, outline_256, views};
@@ -79,7 +80,7 @@ const HYPOTHESES_MAX: usize = 16384;
 /// The whole recognition with all its memory.
 pub struct Recognizer {
     params: Params,
-    /// Of the pictures as they are, and halved once, twice and so on.
+    /// Of the pictures as they are, and halved once, twice and so on; the right camera turned as is allowed for.
     scales: Vec<Scale>,
     parts: Vec<Prepared>,
     pictures: [Picture; 2],
@@ -92,6 +93,10 @@ pub struct Recognizer {
     /// At which level outlines are taken.
     outline_256: u8,
     second: Option<hands::Owner>,
+    /// As calibrated.
+    rig: Rig,
+    /// The turn of the right camera that is allowed for, radians, along the left camera's axes.
+    turn: Vector3<f64>,
 }
 
 /// What goes with one size of the pictures.
@@ -139,6 +144,8 @@ impl Recognizer {
             scales,
             parts,
             second: None,
+            rig,
+            turn: Vector3::zeros(),
         })
     }
 
@@ -148,9 +155,9 @@ impl Recognizer {
         self.second = Some(second);
     }
 
-    /// The rig.
+    /// The rig, as calibrated.
     pub fn rig(&self) -> &Rig {
-        &self.scales[0].rig
+        &self.rig
     }
 
     /// The parts, in the order of [`FoundPart::part`].
@@ -181,24 +188,11 @@ impl Recognizer {
         self.look(pair, &mut stages)?;
         let nodes = |p: &Picture| p.graph().nodes.len();
         (out.nodes_left, out.nodes_right) = (nodes(&self.pictures[0]), nodes(&self.pictures[1]));
-        let seen = Timestamp::now();
-        self.search(budget.share(SEARCH_SHARE), seed, out);
-        let matched = Timestamp::now();
-        self.judge_gloss(pair);
-        self.explanations.clear(self.pictures.each_ref().map(Picture::nodes));
-        let looking = &mut budget.looks(LOOK_SHARE);
-        let mut all_looked_at = self.explain(pair, false, looking);
-        if all_looked_at && !looking.is_over() && self.search_ends(looking) {
-            all_looked_at = self.explain(pair, true, looking);
-        }
-        if all_looked_at && !looking.is_over() && self.search_ridges(pair, looking) {
-            all_looked_at = self.explain(pair, true, looking);
-        }
-        all_looked_at &= !looking.is_over();
-        let exchanging = &mut budget.exchanges(COMPETE_SHARE);
-        let in_time = self.compete(pair, exchanging, out) && all_looked_at;
-        (out.spent.looks, out.spent.exchanges) = (looking.rang_after(), exchanging.rang_after());
+        let watches = &mut Watches::default();
+        let in_time = self.recognise_turned(pair, budget, seed, watches, &mut stages, out);
+        watches.note(&mut out.spent);
         out.out_of_time |= !in_time;
+        let recognised = Timestamp::now();
         self.grasp(in_time, out);
         out.spent.late = budget.is_late();
         if out.spent.late {
@@ -209,11 +203,42 @@ impl Recognizer {
         }
         out.no_pick = self.no_pick(out);
         let end = Timestamp::now();
-        stages.match_ns = matched.since(seen).max(0) as u64;
-        stages.pose_ns = end.since(matched).max(0) as u64;
+        stages.pose_ns += end.since(recognised).max(0) as u64;
         stages.total_ns = end.since(begin).max(0) as u64;
         out.stages = stages;
         Ok(())
+    }
+
+    /// From graphs to parts, with the right camera turned as is allowed for; says whether there was time for all.
+    fn recognise(
+        &mut self,
+        pair: &FramePair,
+        budget: Budget,
+        seed: u64,
+        watches: &mut Watches,
+        stages: &mut StageTimes,
+        out: &mut Recognition,
+    ) -> bool {
+        let begin = Timestamp::now();
+        out.parts.clear();
+        self.search(budget.less(out.spent.iterations).share(SEARCH_SHARE), seed, out);
+        let matched = Timestamp::now();
+        self.judge_gloss(pair);
+        self.explanations.clear(self.pictures.each_ref().map(Picture::nodes));
+        let looking = watches.looking.get_or_insert_with(|| budget.looks(LOOK_SHARE));
+        let mut all_looked_at = self.explain(pair, false, looking);
+        if all_looked_at && !looking.is_over() && self.search_ends(looking) {
+            all_looked_at = self.explain(pair, true, looking);
+        }
+        if all_looked_at && !looking.is_over() && self.search_ridges(pair, looking) {
+            all_looked_at = self.explain(pair, true, looking);
+        }
+        all_looked_at &= !looking.is_over();
+        let exchanging = watches.exchanging.get_or_insert_with(|| budget.exchanges(COMPETE_SHARE));
+        let in_time = self.compete(pair, exchanging, out) && all_looked_at;
+        stages.match_ns += matched.since(begin).max(0) as u64;
+        stages.pose_ns += Timestamp::now().since(matched).max(0) as u64;
+        in_time
     }
 
     /// Takes both pictures through their stages.
@@ -252,22 +277,24 @@ impl Recognizer {
             |part: usize, pose: &Isometry3<f64>| !parts[part].is_too_steep(pose, &down, params.slope_rad_max);
         search.begin(rig, left, right, thickness_mm);
         search.run_exact(judge_of, budget);
-        (out.spent.iterations, out.out_of_time) = (search.iterations(), search.is_out_of_time());
+        let mut used = search.iterations();
+        out.out_of_time = search.is_out_of_time();
         for index in 0..parts.len() {
             let judge = judge_of(index);
             for (n, node) in search.near_nodes() {
-                if budget.is_spent(out.spent.iterations) || budget.is_over() {
+                if budget.is_spent(used) || budget.is_over() {
                     out.out_of_time = true;
                     break;
                 }
-                out.spent.iterations += 1;
+                used += 1;
                 let images = [&left[node.left as usize], &right[node.right as usize]];
                 let single = SingleNode { index: n, node, images };
                 let may_lie = |pose: &Isometry3<f64>| may_lie(index, pose);
                 hypotheses::of_single_node(&params.single, index, &judge, &single, may_lie, pool);
             }
         }
-        search.run_by_chance(rig, [left, right], judge_of, budget, &mut out.spent.iterations, seed);
+        search.run_by_chance(rig, [left, right], judge_of, budget, &mut used, seed);
+        out.spent.iterations += used;
         out.out_of_time |= search.is_out_of_time();
         let matches: usize = (0..parts.len()).map(|p| search.matches(p).len()).sum();
         // What there is no room for is not looked at.
@@ -399,6 +426,20 @@ impl Recognizer {
             slope_rad_max: self.params.slope_rad_max,
         };
         self.explanations.explain(&scene, &self.pool, again, looking)
+    }
+}
+
+/// What tells when the time for looking and for the competition is over; it is shared by all that is done with a pair.
+#[derive(Default)]
+struct Watches {
+    looking: Option<Watch>,
+    exchanging: Option<Watch>,
+}
+
+impl Watches {
+    fn note(&self, spent: &mut Spent) {
+        let rang_after = |watch: &Option<Watch>| watch.as_ref().and_then(Watch::rang_after);
+        (spent.looks, spent.exchanges) = (rang_after(&self.looking), rang_after(&self.exchanging));
     }
 }
 

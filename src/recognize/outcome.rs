@@ -54,11 +54,12 @@ impl Recognizer {
             .map(|i| grasp::blocked(&params.grasp, &placed, i, &out.parts[i].grasp))
             .collect();
         drop(placed);
+        let turned = out.turned.is_some_and(|turned| turned.in_doubt).then_some(Blocked::Turned);
         unknown.find(pictures, explanations.claims());
         for ((found, blocked), explanation) in out.parts.iter_mut().zip(blocked).zip(explanations.standing())
         {
             let uncertain = (!found.proven).then_some(Blocked::Uncertain);
-            found.blocked = blocked.or(uncertain).or_else(|| {
+            found.blocked = blocked.or(uncertain).or(turned).or_else(|| {
                 let prepared = &parts[found.part];
                 let taken = Taken { params: &params.grasp, rig, prepared, explanation, found };
                 match in_time {

@@ -193,6 +193,25 @@ impl Recognition {
     }
 }
 
+/// How far the right camera has turned since the rig was calibrated, as all parts of a pair together tell.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Turned {
+    /// About the baseline: how far what the middle of the right picture shows is displaced across the baseline, pixels;
+    /// positive is lower in the picture, where the right camera stands to the right.
+    pub rows_px: f64,
+    /// Its standard deviation.
+    pub rows_sigma_px: f64,
+    /// About its line of sight: how far what the rim of the right picture shows, half its width from the middle, is
+    /// displaced, pixels; positive where the camera has turned clockwise, seen from behind it.
+    pub rim_px: f64,
+    /// Its standard deviation.
+    pub rim_sigma_px: f64,
+    /// Whether the poses allow for it: only for what is certain.
+    pub allowed_for: bool,
+    /// Whether more is certain than is allowed for: then nothing is offered.
+    pub in_doubt: bool,
+}
+
 /// What a pair shows.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Recognition {
@@ -210,6 +229,8 @@ pub struct Recognition {
     pub spent: Spent,
     /// Whether the budget was spent before the search was through.
     pub out_of_time: bool,
+    /// What the parts tell of the calibration; `None` without parts.
+    pub turned: Option<Turned>,
     /// How long each stage took.
     pub stages: StageTimes,
 }

@@ -155,3 +155,35 @@ fn parts_may_be_of_any_size() {
     let mut recognizer = Recognizer::new(Params::default(), rig, vec![thick]).unwrap();
     assert_eq!(run(&mut recognizer, &pair).parts.len(), 0);
 }
+
+#[test]
+fn a_right_camera_that_has_turned_is_told_and_allowed_for() {
+    let (session, rig) = conveyor();
+    let baseline = rig.right_from_left.inverse().translation.vector.normalize();
+    let sight = rig.right_from_left.rotation.inverse() * Vector3::z();
+    let sight = (sight - baseline * baseline.dot(&sight)).normalize();
+    // The pictures are what they are: it is the calibration that is turned, the other way.
+    let rows_px = 0.6;
+    let turn = baseline * (rows_px / rig.right.fy) + sight * (0.8 / 320.0);
+    let mut as_it_stands = recognizer(rig);
+    let mut as_calibrated = recognizer(rig.with_right_turned(&-turn));
+    for pair in 0..3 {
+        let frames = frames(&session, pair, [0, 0]);
+        let right = run(&mut as_it_stands, &frames);
+        let told = right.turned.unwrap();
+        assert!(told.rows_px.abs() < 0.15 && !told.allowed_for, "{told:?}");
+        let found = run(&mut as_calibrated, &frames);
+        let told = found.turned.unwrap();
+        assert!((told.rows_px - rows_px).abs() < 0.15 && told.allowed_for, "{told:?}");
+        assert!((told.rim_px - 0.8).abs() < 0.4, "{told:?}");
+        let is_there = |a: &FoundPart| {
+            found.parts.iter().any(|b| (a.grasp.position_mm - b.grasp.position_mm).norm() < 1.5)
+        };
+        let there = right.parts.iter().filter(|part| is_there(part)).count();
+        // Rods along the baseline of which an end is hidden move by more.
+        assert!(there + 2 >= right.parts.len() && there > 5, "{there} of {}", right.parts.len());
+        // What was allowed for in one pair is forgotten in the next.
+        assert_eq!(run(&mut as_calibrated, &frames).turned, found.turned);
+    }
+    assert_eq!(*as_calibrated.rig(), rig.with_right_turned(&-turn));
+}

@@ -24,7 +24,7 @@ mod geometry;
 mod table;
 mod yaml;
 
-use nalgebra::{Isometry3, Matrix3, Point3, Vector2};
+use nalgebra::{Isometry3, Matrix3, Point3, UnitQuaternion, Vector2, Vector3};
 
 pub use camera::CameraModel;
 pub use error::RigError;
@@ -95,6 +95,15 @@ impl Rig {
     /// Distance of the two cameras' centres in mm.
     pub fn baseline_mm(&self) -> f64 {
         self.right_from_left.translation.vector.norm()
+    }
+
+    /// The rig whose right camera has turned about its optical centre by this rotation vector, radians, along the left
+    /// camera's axes.
+    pub fn with_right_turned(&self, turn: &Vector3<f64>) -> Self {
+        let right_eye = self.right_from_left.inverse() * Point3::origin();
+        let rotation = self.right_from_left.rotation * UnitQuaternion::new(-turn);
+        let translation = -(rotation * right_eye.coords);
+        Self { right_from_left: Isometry3::from_parts(translation.into(), rotation), ..*self }
     }
 
     /// Whether both cameras were calibrated for pictures of this size.

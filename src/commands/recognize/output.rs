@@ -7,7 +7,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use serde::Serialize;
 
 use crate::part::Part;
-use crate::recognize::{FoundPart, Recognition, Seen, StageTimes};
+use crate::recognize::{FoundPart, Recognition, Seen, StageTimes, Turned};
 
 /// One pair's result, as it is printed and written to results.json.
 #[derive(Serialize)]
@@ -19,7 +19,19 @@ pub(in crate::commands) struct PairResult<'a> {
     nodes_left: usize,
     nodes_right: usize,
     seed: u64,
+    right_camera_turned: Option<TurnedResult>,
     stages_us: Stages,
+}
+
+/// See [`Turned`].
+#[derive(Serialize)]
+struct TurnedResult {
+    rows_px: f64,
+    rows_sigma_px: f64,
+    rim_px: f64,
+    rim_sigma_px: f64,
+    allowed_for: bool,
+    in_doubt: bool,
 }
 
 #[derive(Serialize)]
@@ -139,6 +151,7 @@ impl<'a> PairResult<'a> {
             nodes_left: found.nodes_left,
             nodes_right: found.nodes_right,
             seed: found.seed,
+            right_camera_turned: found.turned.as_ref().map(TurnedResult::new),
             stages_us: Stages::new(runs),
         }
     }
@@ -159,6 +172,13 @@ impl<'a> PairResult<'a> {
             write!(out, "no pick: {reason}; ")?;
         }
         writeln!(out, "{} and {} nodes, {}", self.nodes_left, self.nodes_right, self.times())?;
+        if let Some(TurnedResult { rows_px, rim_px, allowed_for: true, .. }) = self.right_camera_turned {
+            writeln!(
+                out,
+                "the right camera has turned since it was calibrated: {rows_px:+.2} px across the baseline, {rim_px:+.2} px at \
+                 the rim; that is allowed for, calibrate again"
+            )?;
+        }
         if !self.parts.is_empty() {
             let frame = self.parts[0].grasp.frame;
             let grasp = format!("grasp in mm, {frame} frame");
@@ -198,6 +218,15 @@ impl<'a> PairResult<'a> {
         });
         let unit = if matches!(self.stages_us.total, Time::One(_)) { "us" } else { "us (p50/p99)" };
         format!("{} {unit}", list.join(", "))
+    }
+}
+
+impl TurnedResult {
+    fn new(turned: &Turned) -> Self {
+        let [rows_px, rows_sigma_px, rim_px, rim_sigma_px] =
+            rounded([turned.rows_px, turned.rows_sigma_px, turned.rim_px, turned.rim_sigma_px], 1e4);
+        let Turned { allowed_for, in_doubt, .. } = *turned;
+        Self { rows_px, rows_sigma_px, rim_px, rim_sigma_px, allowed_for, in_doubt }
     }
 }
 
@@ -274,7 +303,7 @@ mod tests {
         let result = PairResult::new(None, &found, &[], "left", &[StageTimes::default()]);
         assert_eq!(
             result.to_json(),
-            "{\"parts\":[],\"no_pick\":null,\"nodes_left\":0,\"nodes_right\":0,\"seed\":0,\"stages_us\":{\"decode\":0.0,\
+            "{\"parts\":[],\"no_pick\":null,\"nodes_left\":0,\"nodes_right\":0,\"seed\":0,\"right_camera_turned\":null,\"stages_us\":{\"decode\":0.0,\
              \"binarize\":0.0,\"thin\":0.0,\"graph\":0.0,\"match\":0.0,\"pose\":0.0,\"total\":0.0}}"
         );
     }

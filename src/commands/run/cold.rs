@@ -10,6 +10,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
 use super::args::{Format, Lines, Overlays, RunArgs};
+use super::calibration::Calibration;
 use super::entries::line_of;
 use super::paint::{Painter, Studio};
 use super::record::Recorder;
@@ -58,6 +59,7 @@ pub(super) struct Cold {
     found: Vec<u64>,
     /// Pairs that took longer than the deadline by the wall clock, also where the session's own time stood still.
     slow: u64,
+    calibration: Calibration,
     pairs: u64,
     standing: Standing,
     /// What systemd was told last, and when.
@@ -110,6 +112,7 @@ impl Cold {
             deadline_ns: i64::try_from(cell.deadline(period).as_nanos()).unwrap_or(i64::MAX),
             endurance: args.soak.map(Endurance::new),
             slow: 0,
+            calibration: Calibration::default(),
             pairs: 0,
             standing: Standing::default(),
             status: (String::new(), Timestamp::default()),
@@ -257,6 +260,9 @@ impl Cold {
             for part in &file.recognition.parts {
                 self.found[part.part] += 1;
             }
+            if let Some(words) = file.recognition.turned.and_then(|turned| self.calibration.pair(&turned)) {
+                self.log(|| tracing::warn!("{words}"));
+            }
         }
         let is_news = self.standing.pair(report.outcome);
         if let Some(endurance) = &mut self.endurance {
@@ -381,8 +387,10 @@ impl Cold {
             self.parts.iter().map(|part| part.name.as_str()).zip(self.found.clone()).collect();
         let telemetry = &self.desk.telemetry;
         let table = match self.format {
-            Format::Text => summary::text(telemetry, &found, self.slow, recorded.as_ref()),
-            Format::Json => summary::json(telemetry, &found, self.slow, recorded.as_ref()).to_string(),
+            Format::Text => summary::text(telemetry, &found, self.slow, &self.calibration, recorded.as_ref()),
+            Format::Json => {
+                summary::json(telemetry, &found, self.slow, &self.calibration, recorded.as_ref()).to_string()
+            }
         };
         let verdict = self.endurance.take().map_or(Ok(String::new()), |endurance| {
             endurance.verdict(telemetry, resident_bytes).map(|line| line + "\n")

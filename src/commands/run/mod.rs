@@ -1,6 +1,7 @@
 //! `pickcell run`: the cell itself, with live cameras or a recorded session.
 
 mod args;
+mod calibration;
 mod cold;
 mod entries;
 mod error;

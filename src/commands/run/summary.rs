@@ -4,6 +4,7 @@ use std::fmt::Write;
 
 use serde_json::{Value, json};
 
+use super::calibration::Calibration;
 use super::record::Tally;
 use crate::cell::core::Cause;
 use crate::telemetry::{Stage, Summary, Telemetry};
@@ -26,6 +27,7 @@ pub(super) fn text(
     telemetry: &Telemetry,
     found: &[(&str, u64)],
     slow: u64,
+    calibration: &Calibration,
     recorded: Option<&Tally>,
 ) -> String {
     let mut table = String::from("\n");
@@ -51,6 +53,9 @@ pub(super) fn text(
         }
         let _ = writeln!(table, "{}", tally.in_words());
     }
+    if let Some(words) = calibration.text() {
+        let _ = writeln!(table, "{words}");
+    }
     let _ = writeln!(
         table,
         "\n{:<20} {:>9} {:>9} {:>9} {:>9} {:>9}",
@@ -75,6 +80,7 @@ pub(super) fn json(
     telemetry: &Telemetry,
     found: &[(&str, u64)],
     slow: u64,
+    calibration: &Calibration,
     recorded: Option<&Tally>,
 ) -> Value {
     let counts: serde_json::Map<_, _> = counts(telemetry, slow)
@@ -104,7 +110,8 @@ pub(super) fn json(
         json!({ "file": tally.path, "pairs": tally.pairs, "bytes": tally.bytes, "losses": losses })
     });
     json!({ "summary": {
-        "counts": counts, "parts": found, "no_target": no_picks, "recording": recording, "stages_us": stages
+        "counts": counts, "parts": found, "no_target": no_picks, "recording": recording,
+        "calibration": calibration.json(), "stages_us": stages
     } })
 }
 
@@ -165,13 +172,17 @@ mod tests {
 
     #[test]
     fn the_table_names_what_there_was() {
-        let table = text(&telemetry(0), &[("rod-90", 41)], 2, None);
+        let table = text(&telemetry(0), &[("rod-90", 41)], 2, &Calibration::default(), None);
         for line in ["pairs 20", "rod-90 41", "deadline misses 2", "no target: on hold 1"] {
             let found = table.lines().any(|l| l.split_whitespace().collect::<Vec<_>>().join(" ") == line);
             assert!(found, "{line:?} in\n{table}");
         }
         assert!(table.contains("recognition") && !table.contains("transfer"));
-        assert_eq!(json(&telemetry(0), &[], 0, None)["summary"]["stages_us"]["recognition"]["count"], 1);
+        assert_eq!(
+            json(&telemetry(0), &[], 0, &Calibration::default(), None)["summary"]["stages_us"]["recognition"]
+                ["count"],
+            1
+        );
     }
 
     #[test]

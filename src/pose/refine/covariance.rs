@@ -7,11 +7,16 @@
 //! to the pose is what the fit makes of errors of just that form, and its square is added. All amplitudes are in radii of the wire, for they come from where the border of
 //! the lit region lies on its round surface.
 
-use nalgebra::{Matrix3, Matrix6, SMatrix, Vector3};
+use nalgebra::{Matrix3, Matrix6, Point3, SMatrix, Vector3};
 
 use super::equations::{Doubt, START_SIGMA, Unknowns};
+use super::turn::TurnSeen;
 use super::{FINE_NEXT, Fit, Refine, Shading, View};
 use crate::pose::model::PoseModel;
+
+/// Least share of the assumed standard deviations that measurements have where they tell of a turn of the camera: what is
+/// assumed has room for what light does to all of a wire, which is alike in both pictures.
+const TURN_MISFIT_MIN: f64 = 0.4;
 
 type Inverse = SMatrix<f64, 8, 8>;
 
@@ -20,41 +25,58 @@ type Inverse = SMatrix<f64, 8, 8>;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Origin {
     /// The wire at this station.
-    Section { station: usize, radius_px: f64, lift_px: f64 },
+    Section { side: usize, station: usize, radius_px: f64, lift_px: f64 },
     /// A free end, and the standard deviation of what its face is taken for.
-    End { index: usize, radius_px: f64, lift_px: f64, face_px: f64 },
+    End { side: usize, index: usize, radius_px: f64, lift_px: f64, face_px: f64 },
 }
 
 /// A measurement at the refined pose.
 pub(super) struct Observation {
     /// How it moves with all unknowns.
-    gradient: Unknowns,
+    pub(super) gradient: Unknowns,
     /// What it counts in the normal equations.
-    weight: f64,
+    pub(super) weight: f64,
+    /// Seen minus expected, in pixels.
+    pub(super) residual_px: f64,
     origin: Origin,
 }
 
 impl Observation {
+    /// Whether the right picture shows it.
+    pub(super) fn in_right(&self) -> bool {
+        let (Origin::Section { side, .. } | Origin::End { side, .. }) = self.origin;
+        side == 1
+    }
+
     /// Adds what an error of `px` here does to the right side of the normal equations.
     fn add_error(&self, px: f64, to: &mut Unknowns) {
         *to += self.gradient * (self.weight * px);
     }
 }
 
+/// How sure a pose is, and what it says of the rig.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Spread {
+    /// Covariance of a small displacement (mm) and rotation (radians) about the part's centre, left camera's axes: of what
+    /// is different from place to place, and of what the light does to all of the wire, polished or not.
+    pub covariance: Matrix6<f64>,
+    /// What the part tells of a turn of the right camera.
+    pub turn: TurnSeen,
+}
+
 impl Refine {
-    /// Covariance of a small displacement (mm) and rotation (radians) of the pose of the last [`Refine::fine`] about the
-    /// part's centre, left camera's axes: of what is different from place to place, and of what the light does to all of
-    /// the wire, polished or not.
-    pub fn covariance(&mut self, model: &PoseModel, fit: &Fit, views: &[View; 2]) -> Matrix6<f64> {
+    /// How sure the pose of the last [`Refine::fine`] is.
+    pub fn spread(&mut self, model: &PoseModel, fit: &Fit, views: &[View; 2]) -> Spread {
         let pose = &fit.left_from_part;
         let (_, scales_px) = FINE_NEXT;
         let Self { observations, origins, params, eye, equations, .. } = self;
         let scale = scales_px[3] / params.section_sigma_px;
         observations.clear();
         let weighed = equations.weighed(scale).zip(origins.iter());
-        observations.extend(weighed.map(|((gradient, weight), origin)| Observation {
+        observations.extend(weighed.map(|((gradient, weight, residual_px), origin)| Observation {
             gradient,
             weight,
+            residual_px,
             origin: *origin,
         }));
         let solution = equations.solve(&Doubt {
@@ -64,28 +86,48 @@ impl Refine {
         });
         let Some(solution) = solution else {
             let [mm, radians] = START_SIGMA.map(|sigma| sigma * sigma);
-            return Matrix6::from_diagonal(&[mm, mm, mm, radians, radians, radians].into());
+            let covariance = Matrix6::from_diagonal(&[mm, mm, mm, radians, radians, radians].into());
+            return Spread { covariance, ..Spread::default() };
         };
         let sight = (pose * model.centre_mm - *eye).normalize();
         let is_polished = views.iter().any(|view| view.profiler.is_polished());
         let shading = if is_polished { params.shading.polished() } else { params.shading };
-        covariance(&shading, model, observations, &solution.inverse(), fit.misfit.max(1.0), &sight)
+        let inverse = solution.inverse();
+        // Where there are more sections than independent ones each counts for as much less.
+        let variance = |misfit: f64| misfit * misfit * model.per_thickness as f64;
+        let right_eye = views[1].camera_from_left.inverse() * Point3::origin();
+        Spread {
+            covariance: covariance(
+                &shading,
+                model,
+                observations,
+                &inverse,
+                variance(fit.misfit.max(1.0)),
+                &sight,
+            ),
+            turn: TurnSeen::of(
+                observations,
+                &solution,
+                variance(fit.misfit.max(TURN_MISFIT_MIN)),
+                &(pose * model.centre_mm),
+                &right_eye,
+            ),
+        }
     }
 }
 
 /// Covariance of a pose about the part's centre: displacement in mm, then rotation in radians. `inverse` is that of
-/// the fit's normal equations, `misfit` by how much its residuals exceed their standard deviations, `sight` the unit
+/// the fit's normal equations, `variance` by how much the squares of its residuals exceed what was assumed, `sight` the unit
 /// vector along the line of sight.
 fn covariance(
     shading: &Shading,
     model: &PoseModel,
     observations: &[Observation],
     inverse: &Inverse,
-    misfit: f64,
+    variance: f64,
     sight: &Vector3<f64>,
 ) -> Matrix6<f64> {
-    let mut covariance: Matrix6<f64> =
-        inverse.fixed_view::<6, 6>(0, 0) * (misfit * misfit * model.per_thickness as f64);
+    let mut covariance: Matrix6<f64> = inverse.fixed_view::<6, 6>(0, 0) * variance;
     let [across, lift] = [shading.across, shading.lift].map(|radii| radii * model.radius_mm);
     let displaced = Matrix3::identity() * across.powi(2)
         + sight * sight.transpose() * (lift.powi(2) - across.powi(2)).max(0.0);
@@ -104,7 +146,7 @@ fn covariance(
         let [mut first, mut second] = [Unknowns::zeros(); 2];
         for o in together {
             match o.origin {
-                Origin::Section { station, radius_px, lift_px } => {
+                Origin::Section { station, radius_px, lift_px, .. } => {
                     let share = model.stations[station].share;
                     o.add_error(shading.turn_across * share * radius_px, &mut first);
                     o.add_error(shading.turn_lift * share * lift_px, &mut second);
@@ -154,17 +196,26 @@ mod tests {
         let observation = |gradient: Vector6<f64>, weight, origin| Observation {
             gradient: gradient.fixed_resize(0.0),
             weight,
+            residual_px: 0.0,
             origin,
         };
         let across = |(k, s): (usize, &Station)| {
             let gradient = Vector6::new(0.0, 2.0, 0.0, 0.0, 0.0, 2.0 * s.position_mm.x);
-            observation(gradient, 100.0, Origin::Section { station: k, radius_px: 3.0, lift_px: 0.0 })
+            observation(
+                gradient,
+                100.0,
+                Origin::Section { side: 0, station: k, radius_px: 3.0, lift_px: 0.0 },
+            )
         };
         let mut observations: Vec<_> = model.stations.iter().enumerate().map(across).collect();
         if with_ends {
             observations.extend([0, 1].map(|index| {
                 let gradient = Vector6::new(2.0, 0.0, 0.0, 0.0, 0.0, 0.0);
-                observation(gradient, 50.0, Origin::End { index, radius_px: 3.0, lift_px: 0.0, face_px: 0.0 })
+                observation(
+                    gradient,
+                    50.0,
+                    Origin::End { side: 0, index, radius_px: 3.0, lift_px: 0.0, face_px: 0.0 },
+                )
             }));
         }
         (model, observations)

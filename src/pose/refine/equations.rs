@@ -19,6 +19,8 @@ const UNKNOWNS: usize = 8;
 const BELIEVED_MIN: usize = 6;
 /// What the pictures do not fix stays where it was, within about this: mm, then radians.
 pub(super) const START_SIGMA: [f64; 2] = [5.0, 0.2];
+/// What is left of that where a pose may lie anywhere.
+const AT_LARGE: f64 = 1e-4;
 
 type Lanes = [f64; LANES];
 pub(super) type Unknowns = SVector<f64, UNKNOWNS>;
@@ -81,6 +83,16 @@ impl Solution {
     /// each picture in pixels: the covariance of these, in units of the assumed standard deviations.
     pub(super) fn inverse(&self) -> SMatrix<f64, UNKNOWNS, UNKNOWNS> {
         self.normal.inverse()
+    }
+
+    /// The same of a pose that may lie anywhere.
+    pub(super) fn inverse_at_large(&self) -> Option<SMatrix<f64, UNKNOWNS, UNKNOWNS>> {
+        let lower = self.normal.l();
+        let mut normal = lower * lower.transpose();
+        for (i, sigma) in START_SIGMA.iter().flat_map(|sigma| [sigma; 3]).enumerate() {
+            normal[(i, i)] -= (1.0 - AT_LARGE) / (sigma * sigma);
+        }
+        normal.cholesky().map(|normal| normal.inverse())
     }
 }
 
@@ -150,15 +162,16 @@ impl Equations {
         }
     }
 
-    /// Of each measurement how it moves with all unknowns, and its weight in the normal equations, where the step is nought
-    /// and belief has halved at `scale`.
-    pub(super) fn weighed(&self, scale: f64) -> impl Iterator<Item = (Unknowns, f64)> {
+    /// Of each measurement how it moves with all unknowns, its weight in the normal equations, where the step is nought
+    /// and belief has halved at `scale`, and its residual in pixels.
+    pub(super) fn weighed(&self, scale: f64) -> impl Iterator<Item = (Unknowns, f64, f64)> {
         (0..self.count).map(move |k| {
             let (Block { residual, gradient, by_sigma, by_patience }, lane) =
                 (&self.blocks[k / LANES], k % LANES);
             let e = residual[lane] * by_sigma[lane];
             let belief = 1.0 / (1.0 + (e / scale * by_patience[lane]).powi(2));
-            (Unknowns::from_fn(|row, _| gradient[row][lane]), (belief * by_sigma[lane]).powi(2))
+            let gradient = Unknowns::from_fn(|row, _| gradient[row][lane]);
+            (gradient, (belief * by_sigma[lane]).powi(2), residual[lane])
         })
     }
 

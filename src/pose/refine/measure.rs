@@ -33,7 +33,7 @@ pub(super) fn measure_outlines(
                 let shaded = model.straight_along.map(|_| side);
                 each(
                     Measurement { residual_px, gradient: sighting.gradient, sigma_px, patience: 1.0, shaded },
-                    Origin::Section { station: k, radius_px: half_width_px, lift_px: sighting.lift_px },
+                    Origin::Section { side, station: k, radius_px: half_width_px, lift_px: sighting.lift_px },
                 );
             }
         }
@@ -47,8 +47,10 @@ pub(super) fn measure_ends(
     mut each: impl FnMut(Measurement, Origin),
 ) {
     for (index, end) in ends.iter().enumerate() {
-        for end in end.iter().flatten() {
-            let Some(residual_px) = end.beyond_px else { continue };
+        for (side, end) in end.iter().enumerate() {
+            let Some((end, residual_px)) = end.as_ref().and_then(|end| Some((end, end.beyond_px?))) else {
+                continue;
+            };
             each(
                 Measurement {
                     residual_px,
@@ -58,6 +60,7 @@ pub(super) fn measure_ends(
                     shaded: None,
                 },
                 Origin::End {
+                    side,
                     index,
                     radius_px: end.half_width_px,
                     lift_px: end.lift_px,

@@ -16,15 +16,18 @@ mod equations;
 mod measure;
 mod params;
 mod rough;
+mod turn;
 
 use arrayvec::ArrayVec;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, Vector2, Vector3, Vector6};
 
 use covariance::Origin;
+pub use covariance::Spread;
 pub use ends::EndSighting;
 use equations::{Doubt, Equations, MEASUREMENTS_MAX, Measurement, Solution};
 use measure::{measure_ends, measure_outlines};
 pub use params::Params;
+pub use turn::TurnSeen;
 
 use super::aim::{aim, up};
 use super::end::EndLook;

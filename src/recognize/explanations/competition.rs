@@ -112,7 +112,7 @@ impl Explanations {
 
     /// Moves a part that nothing holds along itself to the middle of where it can lie, and looks at it there.
     fn centre(&mut self, index: usize, parts: &[Prepared], views: &[View; 2]) {
-        let Explanation { hypothesis, fit, verdict, covariance, .. } = &mut self.list[index];
+        let Explanation { hypothesis, fit, verdict, covariance, turn, .. } = &mut self.list[index];
         let Prepared { pose_model, stops, .. } = &parts[hypothesis.part];
         if verdict.ends_shown > 0 || pose_model.straight_along.is_none() {
             return;
@@ -121,7 +121,8 @@ impl Explanations {
         if let Some(there) = self.refine.again(pose_model, &middle, views) {
             *fit = there;
             verify(&self.refine, pose_model, stops, &fit.left_from_part, views, verdict);
-            *covariance = self.refine.covariance(pose_model, fit, views);
+            let spread = self.refine.spread(pose_model, fit, views);
+            (*covariance, *turn) = (spread.covariance, spread.turn);
         }
     }
 

@@ -16,7 +16,7 @@ use crate::matching::nodes::{ImageNode, NodeRole};
 use crate::matching::problem::StereoNode;
 use crate::matching::select::{self, Worth};
 use crate::part::NODES_MAX;
-use crate::pose::refine::{self, Fit, Refine, View};
+use crate::pose::refine::{self, Fit, Refine, TurnSeen, View};
 use crate::pose::shading::Shading;
 use crate::pose::verify::{Verdict, verify};
 use crate::rig::Rig;
@@ -42,8 +42,10 @@ pub(super) struct Explanation {
     pub(super) hypothesis: Hypothesis,
     pub(super) fit: Fit,
     pub(super) verdict: Verdict,
-    /// See [`Refine::covariance`].
+    /// See [`Spread`](crate::pose::refine::Spread).
     pub(super) covariance: Matrix6<f64>,
+    /// What it says of the rig.
+    pub(super) turn: TurnSeen,
     /// Where its free ends are expected, left and right, that both pictures show.
     ends_px: ArrayVec<[Vector2<f64>; 2], NODES_MAX>,
     /// Whether these ends are known to be its own.
@@ -125,6 +127,7 @@ impl Explanations {
             fit: Fit::default(),
             verdict: Verdict::with_room(stations.min(refine::STATIONS_MAX), stops),
             covariance: Matrix6::zeros(),
+            turn: TurnSeen::default(),
             ends_px: ArrayVec::new(),
             has_ends: false,
             overrun_mm: 0.0,
@@ -279,7 +282,8 @@ impl Explanations {
             return None;
         }
         explanation.overrun_mm = verdict.overrun_mm;
-        explanation.covariance = self.refine.covariance(model, &fit, &scene.views);
+        let spread = self.refine.spread(model, &fit, &scene.views);
+        (explanation.covariance, explanation.turn) = (spread.covariance, spread.turn);
         explanation.ends_px.clear();
         for end in self.refine.ends() {
             if let [Some(left), Some(right)] = end

@@ -1,0 +1,217 @@
+//! A right camera that has turned since the rig was calibrated: told by the parts of a pair, and allowed for.
+//!
+//! Half a pixel across the baseline is a hundredth of a degree or two; webcams on their stands turn by that from one day to the
+//! next. Wire along the baseline then lies millimetres too high or too low, and is taken for wire of another slope. All
+//! parts of a pair together tell it to a twentieth of a pixel.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::result::{Recognition, StageTimes, Turned};
+use super::{Recognizer, Scale, Watches};
+use crate::frame::FramePair;
+use crate::pose::refine::TurnSeen;
+use crate::rig::Rig;
+use crate::time::Budget;
+
+/// How often a pair is recognised anew because the right camera is seen to have turned, or turned further.
+const TURNS_MAX: usize = 4;
+
+/// Nothing is allowed for that is not so many standard deviations large.
+const CERTAIN_SIGMAS: f64 = 3.0;
+/// What is certain is allowed for once more where so much is left of it, of what the model leaves.
+const WORTH_IT: f64 = 0.5;
+/// What the model of wire and ends leaves of a turn that is none, in pixels, whatever the number of parts.
+const MODEL_SIGMA_PX: [f64; 2] = [0.04, 0.08];
+/// A camera has not turned by more than about this, in radians: where nothing is seen of a turn there is none.
+const START_SIGMA: f64 = 0.02;
+
+impl Recognizer {
+    /// From graphs to parts, with the right camera as calibrated, and once more as it stands where the parts tell that for
+    /// certain; says whether there was time for all.
+    pub(super) fn recognise_turned(
+        &mut self,
+        pair: &FramePair,
+        budget: Budget,
+        seed: u64,
+        watches: &mut Watches,
+        stages: &mut StageTimes,
+        out: &mut Recognition,
+    ) -> bool {
+        let mut with = |this: &mut Self, turn: Vector3<f64>, out: &mut Recognition| {
+            this.turn_right(turn);
+            this.recognise(pair, budget, seed, watches, stages, out)
+        };
+        let mut in_time = with(self, Vector3::zeros(), out);
+        for _ in 0..TURNS_MAX {
+            let Some(more) = self.judge_turn(out).filter(|_| in_time && !out.out_of_time) else { break };
+            let (before, parts) = (self.turn, out.parts.len());
+            in_time = with(self, before + more, out);
+            // What explains the pictures worse is not how the camera stands.
+            if in_time && out.parts.len() < parts {
+                in_time = with(self, before, out);
+                break;
+            }
+        }
+        self.judge_turn(out);
+        in_time
+    }
+
+    /// Allows for this turn of the right camera, radians, along the left camera's axes.
+    fn turn_right(&mut self, turn: Vector3<f64>) {
+        self.turn = turn;
+        for Scale { rig, .. } in &mut self.scales {
+            *rig = Rig { right_from_left: self.rig.right_from_left, ..*rig }.with_right_turned(&turn);
+        }
+    }
+
+    /// Says in `out` how far the right camera has turned; gives what is to be allowed for beyond what is.
+    fn judge_turn(&self, out: &mut Recognition) -> Option<Vector3<f64>> {
+        let mut seen = TurnSeen::default();
+        self.explanations.standing().for_each(|explanation| seen += &explanation.turn);
+        let (turned, more) = turned(&self.scales[0].rig, &seen, &self.turn)?;
+        let allowed_for = self.turn != Vector3::zeros();
+        out.turned = (!out.parts.is_empty()).then_some(Turned { allowed_for, ..turned });
+        more
+    }
+}
+
+/// What is told of a turn about one direction, in pixels.
+struct Told {
+    px: f64,
+    sigma_px: f64,
+    is_certain: bool,
+    /// Whether what is not allowed for yet is worth another go.
+    is_worth_it: bool,
+    /// Whether what is not allowed for yet is certain by itself.
+    in_doubt: bool,
+}
+
+/// Directions of a turn, and what a turn about them does to the right picture.
+struct Axes {
+    /// Along the left camera's axes: the baseline, what is upright upon it and the line of sight, and the latter made upright
+    /// upon the baseline.
+    left_from_axes: Matrix3<f64>,
+    /// Pixels a radian about the first and the last: of what is displaced across the baseline in the middle, and at the rim.
+    px_per_radian: [f64; 2],
+}
+
+impl Axes {
+    fn of(rig: &Rig) -> Option<Self> {
+        let eye = rig.right_from_left.inverse().translation.vector;
+        let baseline = eye.try_normalize(1e-9)?;
+        let sight = rig.right_from_left.rotation.inverse() * Vector3::z();
+        let sight = (sight - baseline * baseline.dot(&sight)).try_normalize(1e-9)?;
+        let camera = &rig.right;
+        Some(Self {
+            left_from_axes: Matrix3::from_columns(&[baseline, sight.cross(&baseline), sight]),
+            px_per_radian: [f64::midpoint(camera.fx, camera.fy), 0.5 * camera.width as f64],
+        })
+    }
+}
+
+/// How far the right camera has turned, beyond the `before` that was allowed for, as all parts together tell, and what
+/// is to be allowed for: a rotation vector, radians, along the left camera's axes, if that is certain.
+///
+/// A turn about the third direction changes distances and nothing else: parts that are longer than their files say look
+/// the same. It is solved for and not believed.
+fn turned(rig: &Rig, seen: &TurnSeen, before: &Vector3<f64>) -> Option<(Turned, Option<Vector3<f64>>)> {
+    let Axes { left_from_axes, px_per_radian } = Axes::of(rig)?;
+    let normal =
+        left_from_axes.tr_mul(&(seen.normal * left_from_axes)) + Matrix3::identity() / START_SIGMA.powi(2);
+    let right_side = left_from_axes.tr_mul(&seen.right_side);
+    let covariance = normal.try_inverse()?;
+    let free = covariance * right_side;
+    if !free.iter().all(|radians| radians.is_finite()) {
+        return None;
+    }
+    let before = left_from_axes.tr_mul(before);
+    let [rows, rim] = [(0, 0), (2, 1)].map(|(axis, k)| {
+        let sigma_px = (covariance[(axis, axis)].sqrt() * px_per_radian[k]).hypot(MODEL_SIGMA_PX[k]);
+        let more_px = free[axis] * px_per_radian[k];
+        let px = before[axis] * px_per_radian[k] + more_px;
+        let is_certain = px.abs() > CERTAIN_SIGMAS * sigma_px;
+        Told {
+            px,
+            sigma_px,
+            is_certain,
+            is_worth_it: is_certain && more_px.abs() > WORTH_IT * MODEL_SIGMA_PX[k],
+            in_doubt: more_px.abs() > CERTAIN_SIGMAS * sigma_px,
+        }
+    });
+    let told = Turned {
+        rows_px: rows.px,
+        rows_sigma_px: rows.sigma_px,
+        rim_px: rim.px,
+        rim_sigma_px: rim.sigma_px,
+        in_doubt: rows.in_doubt || rim.in_doubt,
+        ..Turned::default()
+    };
+    if !(rows.is_worth_it || rim.is_worth_it) {
+        return Some((told, None));
+    }
+    // What is not certain is none; the rest is solved for without it.
+    let mut pinned = normal;
+    for (axis, of_axis) in [(0, rows), (2, rim)] {
+        if !of_axis.is_certain {
+            pinned[(axis, axis)] += 1e18;
+        }
+    }
+    let mut turn = pinned.try_inverse()? * right_side;
+    turn.y = 0.0;
+    Some((told, Some(left_from_axes * turn)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rig::CameraModel;
+
+    fn rig() -> Rig {
+        let camera = CameraModel {
+            width: 640,
+            height: 480,
+            fx: 700.0,
+            fy: 700.0,
+            cx: 320.0,
+            cy: 240.0,
+            distortion: Default::default(),
+        };
+        let right_from_left = nalgebra::Isometry3::translation(-60.0, 0.0, 0.0);
+        Rig { left: camera, right: camera, right_from_left }
+    }
+
+    /// Parts that tell this turn, radians, as surely as this, in pixels.
+    fn seen(turn: &Vector3<f64>, sigma_px: f64) -> TurnSeen {
+        let normal = Matrix3::identity() * (700.0 / sigma_px).powi(2);
+        TurnSeen { normal, right_side: normal * turn }
+    }
+
+    #[test]
+    fn only_what_is_certain_is_allowed_for_and_distances_never() {
+        let none = Vector3::zeros();
+        let half_a_pixel = Vector3::new(0.5 / 700.0, 0.5 / 700.0, 0.0);
+        let (told, more) = turned(&rig(), &seen(&half_a_pixel, 0.05), &none).unwrap();
+        assert!(
+            (told.rows_px - 0.5).abs() < 0.01 && told.rim_px.abs() < 0.01 && !told.allowed_for,
+            "{told:?}"
+        );
+        let more = more.unwrap();
+        assert!((more.x * 700.0 - 0.5).abs() < 0.01 && more.y == 0.0 && more.z == 0.0, "{more}");
+        // What is allowed for already is told with the rest, and not allowed for twice.
+        let (told, more) = turned(&rig(), &seen(&none, 0.05), &more).unwrap();
+        assert!((told.rows_px - 0.5).abs() < 0.01 && more.is_none());
+        let (told, more) = turned(&rig(), &seen(&half_a_pixel, 0.3), &none).unwrap();
+        assert!(more.is_none() && told.rows_sigma_px > 0.29, "{told:?}");
+        // Without parts nothing is known, and nothing is turned.
+        let (told, more) = turned(&rig(), &TurnSeen::default(), &none).unwrap();
+        assert!(more.is_none() && told.rows_px == 0.0 && told.rows_sigma_px > 10.0, "{told:?}");
+    }
+
+    #[test]
+    fn a_turn_about_the_line_of_sight_is_told_at_the_rim() {
+        let turn = Vector3::new(0.0, 0.0, 1.0 / 320.0);
+        let (told, more) = turned(&rig(), &seen(&turn, 0.05), &Vector3::zeros()).unwrap();
+        assert!(told.rows_px.abs() < 0.01 && (told.rim_px - 1.0).abs() < 0.01, "{told:?}");
+        assert!((more.unwrap() - turn).norm() < 1e-4);
+    }
+}
