@@ -401,7 +401,11 @@ fn bad_calibrations_and_parts_are_refused() {
             "to = \"z\"",
             "bad.toml: edge 1: to = \"z\" is no node of this part; its nodes are a, b",
         ),
-        ("thickness_mm", "thickness", "bad.toml, line 3: unknown field `thickness`"),
+        (
+            "thickness_mm",
+            "thickness",
+            "bad.toml, line 3: thickness: there is no such key; allowed here: name, thickness_mm",
+        ),
         ("[45.0, 0.0, 0.0]", "[-45.0, 0.0, 0.0]", "has zero length"),
     ] {
         let message = call(calibration, &[&file(&folder, "bad.toml", part.replacen(from, to, 1).as_bytes())]);

@@ -40,6 +40,7 @@
 //! ```
 
 mod error;
+mod fault;
 
 use crate::message::ArmAxes;
 use crate::outside::read_text;
@@ -48,6 +49,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 pub use error::ConfigError;
+pub use fault::{Fault, TextError, read_toml};
 
 /// The tables of cell.toml that belong to the arm's side.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -302,22 +304,29 @@ where
 {
     let values = Vec::deserialize(deserializer)?;
     let len = values.len();
-    let expected = format!("an array of length {N}");
+    let expected = format!("a list of {N} values");
     values.try_into().map_err(|_| serde::de::Error::invalid_length(len, &expected.as_str()))
 }
 
 impl Settings {
     /// Parses and checks the text of a cell.toml.
-    pub fn parse(text: &str) -> Result<Self, ConfigError> {
-        let settings: Settings = toml::from_str(text)?;
-        settings.check()?;
+    ///
+    /// # Errors
+    /// The first thing in it that is wrong.
+    pub fn parse(text: &str) -> Result<Self, TextError> {
+        let settings: Settings = read_toml(text)?;
+        settings.check().map_err(|fault| TextError::of(text, fault))?;
         Ok(settings)
     }
 
     /// Reads and checks a cell.toml; a relative `arm.port` starts at the file.
+    ///
+    /// # Errors
+    /// A file that cannot be read; the first thing in it that is wrong.
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
         let text = read_text(path).map_err(|source| ConfigError::Read { path: path.into(), source })?;
-        let mut settings = Self::parse(&text).map_err(|error| error.of(path))?;
+        let wrong = |error| ConfigError::File { path: path.into(), error };
+        let mut settings = Self::parse(&text).map_err(wrong)?;
         if let (Some(port), Some(folder)) = (&settings.arm.port, path.parent()) {
             settings.arm.port = Some(folder.join(port));
         }
@@ -325,7 +334,10 @@ impl Settings {
     }
 
     /// Every value that has a range is checked against it.
-    pub fn check(&self) -> Result<(), ConfigError> {
+    ///
+    /// # Errors
+    /// The first that is out of it, and the first move template that is not allowed.
+    pub fn check(&self) -> Result<(), Fault> {
         self.arm.check()?;
         self.workspace.check()?;
         self.gripper.check()?;
@@ -336,35 +348,25 @@ impl Settings {
     }
 }
 
-/// `value` within `low..=high`, or an error that names `key`.
-fn within<T: PartialOrd + std::fmt::Display>(
-    key: &'static str,
-    value: T,
-    low: T,
-    high: T,
-) -> Result<(), ConfigError> {
+/// `value` within `low..=high`, or a fault of `key`.
+fn within<T: PartialOrd + std::fmt::Display>(key: &str, value: T, low: T, high: T) -> Result<(), Fault> {
     if value >= low && value <= high {
         return Ok(());
     }
-    Err(ConfigError::Value { key, value: value.to_string(), allowed: format!("{low} to {high}") })
+    Err(Fault::value(key, value, format!("{low} to {high}")))
 }
 
 impl Arm {
-    fn check(&self) -> Result<(), ConfigError> {
+    fn check(&self) -> Result<(), Fault> {
         if self.link == LinkName::Serial && self.port.is_none() {
-            return Err(ConfigError::Missing {
-                key: "arm.port",
-                because: "link = \"serial\" needs the device, e.g. port = \"/dev/ttyUSB0\"",
-            });
+            let remedy = "link = \"serial\" needs the device, e.g. port = \"/dev/ttyUSB0\"".to_owned();
+            return Err(Fault::Missing { key: "arm.port".to_owned(), remedy });
         }
         within("arm.baud", self.baud, 1200, 4_000_000)?;
         let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
         if self.service.is_empty() || self.service.len() > 64 || !self.service.chars().all(plain) {
-            return Err(ConfigError::Value {
-                key: "arm.service",
-                value: format!("{:?}", self.service),
-                allowed: "1 to 64 of A-Z a-z 0-9 - _ .".into(),
-            });
+            let service = format!("{:?}", self.service);
+            return Err(Fault::value("arm.service", service, "1 to 64 of A-Z a-z 0-9 - _ ."));
         }
         within("arm.ttl_ms", self.ttl_ms, 10, 60_000)?;
         within("arm.heartbeat_ms", self.heartbeat_ms, 10, 10_000)?;
@@ -385,17 +387,14 @@ impl Arm {
 }
 
 impl Workspace {
-    fn check(&self) -> Result<(), ConfigError> {
+    fn check(&self) -> Result<(), Fault> {
         const MM_MAX: f64 = 100_000.0;
         for axis in 0..3 {
             within("workspace.min_mm", self.min_mm[axis], -MM_MAX, MM_MAX)?;
             within("workspace.max_mm", self.max_mm[axis], -MM_MAX, MM_MAX)?;
             if self.max_mm[axis] <= self.min_mm[axis] {
-                return Err(ConfigError::Value {
-                    key: "workspace.max_mm",
-                    value: format!("{:?}", self.max_mm),
-                    allowed: format!("above workspace.min_mm = {:?} on every axis", self.min_mm),
-                });
+                let allowed = format!("above workspace.min_mm = {:?} on every axis", self.min_mm);
+                return Err(Fault::value("workspace.max_mm", format!("{:?}", self.max_mm), allowed));
             }
         }
         within("workspace.tilt_max_deg", self.tilt_max_deg, 0.0, 90.0)?;
@@ -404,7 +403,7 @@ impl Workspace {
 }
 
 impl Gripper {
-    fn check(&self) -> Result<(), ConfigError> {
+    fn check(&self) -> Result<(), Fault> {
         const MM_MAX: f64 = 1000.0;
         const ABOVE_0: f64 = 0.001;
         within("gripper.opening_max_mm", self.opening_max_mm, ABOVE_0, MM_MAX)?;
@@ -420,55 +419,4 @@ impl Gripper {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    const BOX: &str = "[workspace]\nmin_mm = [0, 0, 0]\nmax_mm = [1, 1, 1]\n";
-
-    fn complaint(text: &str) -> String {
-        Settings::parse(text).unwrap_err().to_string()
-    }
-
-    #[test]
-    fn tables_of_others_are_ignored_and_defaults_are_allowed_values() {
-        let settings = Settings::parse(&format!("{BOX}[cameras]\nbackend = \"v4l\"\n")).unwrap();
-        assert_eq!(settings.arm, Arm::default());
-        assert_eq!(settings.gripper, Gripper::default());
-    }
-
-    #[test]
-    fn an_error_of_a_file_names_the_file() {
-        let path = std::env::temp_dir().join(format!("firmware-bridge-config-{}.toml", std::process::id()));
-        std::fs::write(&path, format!("{BOX}[arm]\nresends = 99\n[realtime]\narm_priority = 99\n")).unwrap();
-        let named = |message: String| message.starts_with(&format!("{}: ", path.display()));
-        assert!(named(Settings::read(&path).unwrap_err().to_string()));
-        assert!(named(crate::realtime::ArmThread::read(&path).unwrap_err().to_string()));
-        std::fs::remove_file(&path).unwrap();
-    }
-
-    #[test]
-    fn an_error_names_key_value_and_what_is_allowed() {
-        assert!(complaint(&format!("{BOX}[arm]\nspeed = 3\n")).contains("unknown field `speed`"));
-        assert!(
-            complaint(&format!("{BOX}[arm]\ndialect = \"gcode\"\n"))
-                .contains("`own`, `grbl`, `marlin`, `uarm`")
-        );
-        assert_eq!(
-            complaint(&format!("{BOX}[arm]\nresends = 99\n")),
-            "arm.resends = 99 is not allowed: it must be 0 to 20"
-        );
-        assert_eq!(
-            complaint("[workspace]\nmin_mm = [0, 0, 0]\nmax_mm = [1, nan, 1]\n"),
-            "workspace.max_mm = NaN is not allowed: it must be -100000 to 100000"
-        );
-        assert_eq!(
-            complaint("[workspace]\nmin_mm = [0, 0, 0]\nmax_mm = [1, 1, -1]\n"),
-            "workspace.max_mm = [1.0, 1.0, -1.0] is not allowed: it must be above workspace.min_mm = [0.0, 0.0, 0.0] on every axis"
-        );
-        assert!(complaint(&format!("{BOX}[arm]\nlink = \"serial\"\n")).starts_with("arm.port is missing"));
-        assert!(complaint(&format!("{BOX}[arm]\nservice = \"a/b\"\n")).contains("A-Z a-z 0-9"));
-        assert!(complaint("[arm]\n").contains("workspace"));
-        let four = complaint("[workspace]\nmin_mm = [0, 0, 0, 0]\nmax_mm = [1, 1, 1]\n");
-        assert!(four.contains("invalid length 4, expected an array of length 3"), "{four}");
-    }
-}
+mod tests;

@@ -8,7 +8,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use crate::config::ConfigError;
+use crate::config::{ConfigError, Fault, TextError, read_toml};
 use crate::outside::read_text;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use rustix::thread::{CpuSet, sched_setaffinity};
@@ -100,22 +100,22 @@ impl ArmThread {
     /// A file that cannot be read, a value of the wrong type, a priority out of range.
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
         let text = read_text(path).map_err(|source| ConfigError::Read { path: path.into(), source })?;
-        Self::parse(&text).map_err(|error| error.of(path))
+        Self::parse(&text).map_err(|error| ConfigError::File { path: path.into(), error })
     }
 
-    fn parse(text: &str) -> Result<Self, ConfigError> {
+    fn parse(text: &str) -> Result<Self, TextError> {
         #[derive(Deserialize)]
         struct File {
             #[serde(default)]
             realtime: ArmThread,
         }
-        let thread = toml::from_str::<File>(text)?.realtime;
+        let thread = read_toml::<File>(text)?.realtime;
         if !(10..=40).contains(&thread.arm_priority) {
-            return Err(ConfigError::Value {
-                key: "realtime.arm_priority",
-                value: thread.arm_priority.to_string(),
-                allowed: "10 to 40 (interrupt threads have 50)".into(),
-            });
+            let allowed = "10 to 40 (interrupt threads have 50)";
+            return Err(TextError::of(
+                text,
+                Fault::value("realtime.arm_priority", thread.arm_priority, allowed),
+            ));
         }
         Ok(thread)
     }
@@ -230,7 +230,7 @@ mod tests {
         assert_eq!(thread.wish(64), Wish { fifo_priority: None, cores: vec![0], prefault_bytes: 64 });
         assert_eq!(
             ArmThread::parse("[realtime]\narm_priority = 90\n").unwrap_err().to_string(),
-            "realtime.arm_priority = 90 is not allowed: it must be 10 to 40 (interrupt threads have 50)"
+            "line 2: realtime.arm_priority = 90 is not possible; allowed: 10 to 40 (interrupt threads have 50)"
         );
     }
 

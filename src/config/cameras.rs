@@ -119,8 +119,8 @@ pub(super) struct Written {
 struct WrittenCamera {
     device: String,
     format: String,
-    width: u32,
-    height: u32,
+    width: i64,
+    height: i64,
     rate_hz: f64,
     matrix: Option<String>,
     range: Option<String>,
@@ -218,12 +218,14 @@ impl WrittenCamera {
             let allowed = "\"YUYV\", \"MJPG\", \"GREY\", \"RGB3\", \"BGR3\", \"NV12\"";
             source.refuse(&key("format"), format!("{:?}", self.format), allowed)
         })?;
-        for (name, side) in [("width", self.width), ("height", self.height)] {
-            if side == 0 || side > PICTURE_SIDE_PX_MAX || side % 2 == 1 {
-                let allowed = format!("an even number of pixels from 2 to {PICTURE_SIDE_PX_MAX}");
-                return Err(source.refuse(&key(name), side, allowed));
+        let pixels = |name: &str, side: i64| {
+            let allowed = format!("an even number of pixels from 2 to {PICTURE_SIDE_PX_MAX}");
+            match side % 2 {
+                0 => source.whole(&key(name), side, 2..=i64::from(PICTURE_SIDE_PX_MAX), &allowed),
+                _ => Err(source.refuse(&key(name), side, allowed)),
             }
-        }
+        };
+        let (width, height) = (pixels("width", self.width)?, pixels("height", self.height)?);
         if !(self.rate_hz.is_finite() && self.rate_hz >= 0.1 && self.rate_hz <= RATE_HZ_MAX) {
             let allowed = format!("frames a second from 0.1 to {RATE_HZ_MAX}");
             return Err(source.refuse(&key("rate_hz"), self.rate_hz, allowed));
@@ -260,8 +262,8 @@ impl WrittenCamera {
         Ok(CameraSettings {
             device: source.resolve(&self.device),
             format,
-            width: self.width,
-            height: self.height,
+            width,
+            height,
             rate_hz: self.rate_hz,
             matrix,
             range,

@@ -25,16 +25,17 @@ mod tables;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use firmware_bridge::config::Settings;
+use firmware_bridge::config::{Fault, Settings};
 use serde::Deserialize;
 
 use crate::matching::harmony;
 use crate::recognize;
+use crate::vision::binarize::ParamsError;
 
 pub use crate::vision::binarize::ColourRange;
 pub use crate::vision::thin::Algorithm as ThinMethod;
 pub use cameras::{Backend, CameraSettings, Cameras, ControlValue, PICTURE_SIDE_PX_MAX, Pace, RATE_HZ_MAX};
-pub use error::{ConfigError, Location};
+pub use error::ConfigError;
 pub use firmware_bridge::realtime::Scheduling;
 pub use recognition::{Gate, Harmony, Recognition, SearchMethod};
 pub use recording::{KeptPictures, Recording, WhenFull};
@@ -143,6 +144,12 @@ impl Cell {
         params.grasp.tilt_tolerance_rad = arm.tilt_tolerance_deg.to_radians();
         params.grasp.yaw_tolerance_rad = arm.yaw_tolerance_deg.to_radians();
         params
+    }
+
+    /// What the recogniser says of `region_px`, which it compares with the calibration's size, as an error of the file.
+    pub fn region_error(&self, error: &ParamsError) -> ConfigError {
+        let source = Source { file: self.file.clone(), text: self.text.clone() };
+        source.wrong(Fault::Other { key: "recognition.region_px", problem: format!("recognition.{error}") })
     }
 
     /// Time from a frame's stamp to the last byte of its target on the wire: `deadline_ms`, or two frame periods.

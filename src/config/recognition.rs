@@ -4,11 +4,15 @@ use std::path::PathBuf;
 
 use serde::Deserialize;
 
+use super::cameras::PICTURE_SIDE_PX_MAX;
 use super::error::ConfigError;
 use super::source::Source;
 use crate::matching::{gate, search};
 use crate::vision::binarize::ColourRange;
 use crate::vision::thin::Algorithm;
+
+/// No speck is larger than a picture.
+const SPECK_PX_MAX: i64 = (PICTURE_SIDE_PX_MAX as i64).pow(2);
 
 #[derive(Clone, Copy, Debug, Default, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -126,12 +130,12 @@ pub(super) struct Written {
     #[serde(default)]
     inverted: bool,
     region_px: Option<toml::Value>,
-    min_speck_px: Option<u32>,
+    min_speck_px: Option<i64>,
     #[serde(default)]
     thin: WrittenThin,
     #[serde(default)]
     search: SearchMethod,
-    hms: Option<usize>,
+    hms: Option<i64>,
     hmcr: Option<f64>,
     par: Option<f64>,
     par_min: Option<f64>,
@@ -139,9 +143,9 @@ pub(super) struct Written {
     #[serde(default)]
     gate: Gate,
     seed: Option<u64>,
-    iterations: Option<u64>,
+    iterations: Option<i64>,
     fitness_max: Option<f64>,
-    threads: Option<usize>,
+    threads: Option<i64>,
 }
 
 impl Written {
@@ -174,21 +178,21 @@ impl Written {
             false => Err(source.refuse(key, value, "a number above 0")),
         };
         let fitness_max = self.fitness_max.map(|f| above_zero("recognition.fitness_max", f)).transpose()?;
-        if self.iterations == Some(0) {
-            return Err(source.refuse("recognition.iterations", 0, "a whole number from 1"));
-        }
-        let threads = match self.threads {
-            None | Some(1) => 1,
-            Some(2) => 2,
-            Some(other) => return Err(source.refuse("recognition.threads", other, "1 or 2")),
-        };
+        let iterations = self.iterations.map(|iterations| {
+            source.whole("recognition.iterations", iterations, 1..=i64::MAX, "a whole number from 1")
+        });
         Ok(Recognition {
             parts,
             colour,
             inverted: self.inverted,
             region_left_px,
             region_right_px,
-            min_speck_px: self.min_speck_px.unwrap_or(20),
+            min_speck_px: source.whole(
+                "recognition.min_speck_px",
+                self.min_speck_px.unwrap_or(20),
+                0..=SPECK_PX_MAX,
+                &format!("a number of pixels from 0 to {SPECK_PX_MAX}"),
+            )?,
             thin: match self.thin {
                 WrittenThin::ZhangSuen => Algorithm::ZhangSuen,
                 WrittenThin::GuoHall => Algorithm::GuoHall,
@@ -197,9 +201,9 @@ impl Written {
             harmony,
             gate: self.gate,
             seed: self.seed.unwrap_or(1),
-            iterations: self.iterations,
+            iterations: iterations.transpose()?,
             fitness_max,
-            threads,
+            threads: source.whole("recognition.threads", self.threads.unwrap_or(1), 1..=2, "1 or 2")?,
         })
     }
 
@@ -211,12 +215,9 @@ impl Written {
                 Err(source.refuse(&format!("recognition.{name}"), rate, "a rate from 0 to 1, without unit"))
             }
         };
-        let hms = self.hms.unwrap_or(20);
-        if !(2..=1000).contains(&hms) {
-            return Err(source.refuse("recognition.hms", hms, "2 to 1000 harmonies (the paper: 20 to 70)"));
-        }
+        let hms_allowed = "2 to 1000 harmonies (the paper: 20 to 70)";
         let harmony = Harmony {
-            hms,
+            hms: source.whole("recognition.hms", self.hms.unwrap_or(20), 2..=1000, hms_allowed)?,
             hmcr: share("hmcr", self.hmcr, 0.7)?,
             par: share("par", self.par, 0.3)?,
             par_min: share("par_min", self.par_min, 0.1)?,

@@ -50,7 +50,7 @@ pub(super) struct Written {
     folder: String,
     #[serde(default)]
     pictures: KeptPictures,
-    file_mb_max: Option<u64>,
+    file_mb_max: Option<i64>,
     #[serde(default)]
     when_full: WhenFull,
 }
@@ -61,9 +61,8 @@ impl Written {
             return Err(source.refuse("recording.folder", "\"\"", "a folder for the recordings"));
         }
         let file_mb_max = self.file_mb_max.unwrap_or(4000);
-        if !(1..=10_000_000).contains(&file_mb_max) {
-            return Err(source.refuse("recording.file_mb_max", file_mb_max, "1 to 10000000 MB"));
-        }
+        let file_mb_max: u64 =
+            source.whole("recording.file_mb_max", file_mb_max, 1..=10_000_000, "1 to 10000000 MB")?;
         Ok(Recording {
             folder: source.resolve(&self.folder),
             pictures: self.pictures,

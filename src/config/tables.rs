@@ -18,13 +18,8 @@ pub(super) fn arm_side(
     workspace: Workspace,
     gripper: Gripper,
 ) -> Result<Settings, ConfigError> {
-    use firmware_bridge::config::ConfigError as Theirs;
     let mut settings = Settings { arm, workspace, gripper };
-    settings.check().map_err(|error| match error {
-        Theirs::Value { key, value, allowed } => source.refuse(key, value, allowed),
-        Theirs::Missing { key, because } => source.missing(key, because),
-        other => ConfigError::ArmSide { location: source.location("arm"), message: other.to_string() },
-    })?;
+    settings.check().map_err(|fault| source.wrong(fault))?;
     if let Some(port) = &settings.arm.port {
         settings.arm.port = Some(source.folder().join(port));
     }
@@ -140,28 +135,25 @@ pub(super) struct WrittenPlace {
     #[serde(default, deserialize_with = "exactly")]
     row_step_mm: [f64; 3],
     #[serde(default = "one")]
-    columns: u32,
+    columns: i64,
     #[serde(default = "one")]
-    rows: u32,
+    rows: i64,
     #[serde(default)]
     yaw_deg: f64,
     state: String,
 }
 
-fn one() -> u32 {
+fn one() -> i64 {
     1
 }
 
 impl WrittenPlace {
     pub(super) fn check(self, source: &Source) -> Result<PlaceGrid, ConfigError> {
-        for (name, count) in [("columns", self.columns), ("rows", self.rows)] {
-            if !(1..=1000).contains(&count) {
-                return Err(source.refuse(&format!("place.{name}"), count, "1 to 1000"));
-            }
-        }
+        let columns = source.whole("place.columns", self.columns, 1..=1000, "1 to 1000")?;
+        let rows = source.whole("place.rows", self.rows, 1..=1000, "1 to 1000")?;
         for (key, step, count) in [
-            ("place.column_step_mm", self.column_step_mm, self.columns),
-            ("place.row_step_mm", self.row_step_mm, self.rows),
+            ("place.column_step_mm", self.column_step_mm, columns),
+            ("place.row_step_mm", self.row_step_mm, rows),
         ] {
             if count > 1 && step == [0.0; 3] {
                 return Err(source.refuse(key, "[0, 0, 0]", "a step that is not zero, in mm"));
@@ -177,8 +169,8 @@ impl WrittenPlace {
             first_mm: vector_mm(source, "place.first_mm", self.first_mm)?,
             column_step_mm: vector_mm(source, "place.column_step_mm", self.column_step_mm)?,
             row_step_mm: vector_mm(source, "place.row_step_mm", self.row_step_mm)?,
-            columns: self.columns,
-            rows: self.rows,
+            columns,
+            rows,
             yaw_rad: self.yaw_deg.to_radians(),
             state: source.resolve(&self.state),
         })
@@ -209,42 +201,33 @@ pub struct Realtime {
 pub(super) struct WrittenRealtime {
     #[serde(default)]
     scheduling: Scheduling,
-    grab_priority: Option<u8>,
-    recognise_priority: Option<u8>,
-    arm_priority: Option<u8>,
+    grab_priority: Option<i64>,
+    recognise_priority: Option<i64>,
+    arm_priority: Option<i64>,
     #[serde(default)]
-    cores: Vec<usize>,
+    cores: Vec<i64>,
     lock_memory: Option<bool>,
-    stack_kib: Option<usize>,
+    stack_kib: Option<i64>,
 }
 
 impl WrittenRealtime {
     pub(super) fn check(self, source: &Source) -> Result<Realtime, ConfigError> {
-        let priority = |name: &str, written: Option<u8>, default: u8| match written.unwrap_or(default) {
-            given @ 10..=40 => Ok(given),
-            given => Err(source.refuse(
-                &format!("realtime.{name}"),
-                given,
-                "10 to 40 (interrupt threads have 50; above them the cameras would starve)",
-            )),
+        let priority = |name: &str, written: Option<i64>, default: i64| {
+            let allowed = "10 to 40 (interrupt threads have 50; above them the cameras would starve)";
+            source.whole(&format!("realtime.{name}"), written.unwrap_or(default), 10..=40, allowed)
         };
-        if let Some(core) = self.cores.iter().find(|&&core| core >= 1024) {
-            return Err(source.refuse(
-                "realtime.cores",
-                core,
-                "numbers of cores, counted from 0, under 1024",
-            ));
-        }
+        let core = |&core: &i64| {
+            let allowed = "numbers of cores, counted from 0, under 1024";
+            source.whole("realtime.cores", core, 0..=1023, allowed)
+        };
         let stack_kib = self.stack_kib.unwrap_or(1024);
-        if !(256..=65_536).contains(&stack_kib) {
-            return Err(source.refuse("realtime.stack_kib", stack_kib, "256 to 65536 KiB"));
-        }
+        let stack_kib = source.whole("realtime.stack_kib", stack_kib, 256..=65_536, "256 to 65536 KiB")?;
         Ok(Realtime {
             scheduling: self.scheduling,
             grab_priority: priority("grab_priority", self.grab_priority, 30)?,
             recognise_priority: priority("recognise_priority", self.recognise_priority, 20)?,
             arm_priority: priority("arm_priority", self.arm_priority, 40)?,
-            cores: self.cores,
+            cores: self.cores.iter().map(core).collect::<Result<_, _>>()?,
             lock_memory: self.lock_memory.unwrap_or(true),
             stack_kib,
         })

@@ -3,6 +3,8 @@
 use std::io;
 use std::path::PathBuf;
 
+use firmware_bridge::config::TextError;
+
 /// A part file that cannot be used: names file, key, value and what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum PartError {
@@ -15,14 +17,12 @@ pub enum PartError {
         source: io::Error,
     },
     /// No TOML, an unknown key, a missing one, or a value of another type.
-    #[error("part file {path}, line {line}: {problem}", path = .path.display())]
+    #[error("part file {}", error.in_file(path))]
     Toml {
         /// The file.
         path: PathBuf,
-        /// Counted from 1.
-        line: usize,
-        /// What the TOML reader says; unknown keys with the list of known ones.
-        problem: String,
+        /// What is wrong, and where.
+        error: TextError,
     },
     /// A key has a value that cannot be.
     #[error("part file {path}: {key} = {value}: {problem}", path = .path.display())]

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use firmware_bridge::config::exactly;
+use firmware_bridge::config::{exactly, read_toml};
 use firmware_bridge::outside::read_text;
 use nalgebra::{Point3, Unit, Vector3};
 use serde::Deserialize;
@@ -102,11 +102,8 @@ impl Part {
     /// [`PartError`]: names file, key, value and remedy.
     pub fn parse(text: &str, path: impl Into<PathBuf>) -> Result<Part, PartError> {
         let path = path.into();
-        let file: FileText = toml::from_str(text).map_err(|e| {
-            let begin = e.span().map_or(0, |s| s.start.min(text.len()));
-            let line = text.as_bytes()[..begin].iter().filter(|&&b| b == b'\n').count() + 1;
-            PartError::Toml { path: path.clone(), line, problem: e.message().trim().replace('\n', "; ") }
-        })?;
+        let file: FileText =
+            read_toml(text).map_err(|error| PartError::Toml { path: path.clone(), error })?;
         Check { path: &path }.part(file)
     }
 }

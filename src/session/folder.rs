@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use firmware_bridge::config::{Fault, TextError, read_toml};
 use serde::Deserialize;
 
 use super::{RecordedPair, RecordedPicture, Results, Session};
@@ -29,21 +30,13 @@ pub enum FolderError {
         /// What the system said.
         reason: std::io::Error,
     },
-    /// A `session.toml` that is no TOML, or has other keys than `rate_hz`.
-    #[error("{}: {reason}", path.display())]
+    /// A `session.toml` that is no TOML, has other keys than `rate_hz`, or a rate that none is.
+    #[error("{}; all that it needs is a line like rate_hz = 30.0", error.in_file(path))]
     BadSettings {
         /// The file.
         path: PathBuf,
-        /// What the parser said.
-        reason: toml::de::Error,
-    },
-    /// A rate that none is.
-    #[error("{}: rate_hz = {rate_hz} is not possible; allowed: frames a second above 0, up to 1000", path.display())]
-    BadRate {
-        /// The file.
-        path: PathBuf,
-        /// As written.
-        rate_hz: f64,
+        /// What is wrong, and where.
+        error: TextError,
     },
     /// Not one png or jpg on a side.
     #[error("{}: there is no png or jpg in it; a session needs pictures of both cameras", path.display())]
@@ -76,10 +69,11 @@ pub(super) fn open(folder: &Path) -> Result<Session, FolderError> {
     let path = folder.join("session.toml");
     let text = firmware_bridge::outside::read_text(&path)
         .map_err(|reason| FolderError::NoSettings { path: path.clone(), reason })?;
-    let Settings { rate_hz } =
-        toml::from_str(&text).map_err(|reason| FolderError::BadSettings { path: path.clone(), reason })?;
+    let bad = |error| FolderError::BadSettings { path: path.clone(), error };
+    let Settings { rate_hz } = read_toml(&text).map_err(bad)?;
     if !(rate_hz.is_finite() && rate_hz > 0.0 && rate_hz <= 1000.0) {
-        return Err(FolderError::BadRate { path, rate_hz });
+        let fault = Fault::value("rate_hz", rate_hz, "frames a second above 0, up to 1000");
+        return Err(bad(TextError::of(&text, fault)));
     }
     let mut names: BTreeMap<String, [Option<PathBuf>; 2]> = BTreeMap::new();
     for side in Side::BOTH {
@@ -167,8 +161,20 @@ mod tests {
         );
         let empty = tempfile::tempdir().unwrap();
         assert!(message(empty.path()).contains("session.toml: cannot read it"));
-        assert!(message(folder("rate_hz = 0", &[]).path()).contains("rate_hz = 0 is not possible"));
-        assert!(message(folder("rate = 3", &[]).path()).contains("unknown field `rate`"));
+        for (text, wanted) in [
+            (
+                "rate_hz = 0",
+                "line 1: rate_hz = 0 is not possible; allowed: frames a second above 0, up to 1000",
+            ),
+            ("rate_hz = \"x\"", "line 1: rate_hz = \"x\" is not possible; allowed: a number"),
+            ("\nrate = 3", "line 2: rate: there is no such key; allowed here: rate_hz"),
+            ("", "rate_hz is missing; add it: it has no default"),
+            ("rate_hz 3", "line 1: \"rate_hz 3\" is no TOML: key with no value, expected `=`"),
+        ] {
+            let message = message(folder(text, &[]).path());
+            let wanted = format!("{wanted}; all that it needs is a line like rate_hz = 30.0");
+            assert!(message.contains("session.toml") && message.ends_with(&wanted), "{message}");
+        }
         assert!(message(folder("rate_hz = 3", &[]).path()).contains("left: there is no png or jpg in it"));
         let twice = folder("rate_hz = 3", &["left/a.png", "left/a.jpg", "right/a.png"]);
         assert!(message(twice.path()).contains("two pictures of one name"));

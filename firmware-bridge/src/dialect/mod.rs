@@ -4,7 +4,7 @@
 //! heartbeats, acknowledgements, time-outs and the queue of lines of one arm. All memory is taken in `new`.
 //!
 //! Every dialect has the same shape:
-//! - `new(&Settings, session_seed) -> Result<Self, ConfigError>`: takes all memory, checks the move templates; every
+//! - `new(&Settings, session_seed) -> Result<Self, TemplateError>`: takes all memory, checks the move templates; every
 //!   handshake makes a new session number that starts at `session_seed` (random, so that two processes differ);
 //! - `on_link(up, now_ns)`: the port was opened (the handshake begins) or is gone (an unfinished pick is
 //!   [`Report::Lost`]);
@@ -24,7 +24,8 @@
 //! (its own rest and the kernel's queue) and writes these first. A dialect therefore makes urgent bytes that are
 //! understood after any cut, and treats everything before them as perhaps lost.
 
-use crate::config::{ConfigError, DialectName, Settings};
+use crate::config::{DialectName, Settings};
+use crate::gcode::template::TemplateError;
 use crate::gcode::{Grbl, Marlin, Uarm};
 use crate::message::{Command, Refusal, Report};
 
@@ -63,7 +64,7 @@ impl Dialect {
     ///
     /// # Errors
     /// A move template of `[arm.moves]` that cannot be taken.
-    pub fn new(settings: &Settings, session_seed: u32) -> Result<Self, ConfigError> {
+    pub fn new(settings: &Settings, session_seed: u32) -> Result<Self, TemplateError> {
         match settings.arm.dialect {
             DialectName::Own => Ok(Dialect::Own(Own::new(settings, session_seed))),
             DialectName::Grbl => Ok(Dialect::Grbl(Grbl::new(settings, session_seed)?)),

@@ -16,10 +16,10 @@
 mod events;
 mod lines;
 
-use super::template::{List, Program, Step};
+use super::template::{List, Program, Step, TemplateError};
 use super::wire::{Events, MS, Wire};
 use super::words::Kind;
-use crate::config::{ConfigError, Settings};
+use crate::config::Settings;
 use crate::dialect::{Reports, Transmit};
 use crate::gate::Gate;
 use crate::message::{Command, Disconnect, Failure, HeldBy, Outcome, Pick, Refusal, Report, Waypoint};
@@ -131,7 +131,7 @@ pub struct Driver<W> {
 #[allow(private_bounds)]
 impl<W: Wire> Driver<W> {
     /// All memory; checks the move templates. Session numbers start at `session_seed`.
-    pub fn new(settings: &Settings, session_seed: u32) -> Result<Self, ConfigError> {
+    pub fn new(settings: &Settings, session_seed: u32) -> Result<Self, TemplateError> {
         Ok(Self {
             wire: W::new(settings),
             program: Program::compile(settings)?,

@@ -6,8 +6,8 @@
 //! lines that are not understood.
 //!
 //! ```
-//! use firmware_bridge::{config::Settings, gcode::template::Program};
-//! let mut settings = Settings::parse(r#"
+//! use firmware_bridge::config::Settings;
+//! let settings = Settings::parse(r#"
 //! [arm]
 //! dialect = "grbl"
 //! axes = "xyz"
@@ -17,8 +17,7 @@
 //! min_mm = [-200, -200, 0]
 //! max_mm = [200, 200, 300]
 //! "#);
-//! let error = settings.and_then(|s| Ok(Program::compile(&s)?)).unwrap_err();
-//! assert_eq!(error.to_string(), "arm.moves.pick, line 2, \"G91\": G91 makes moves relative: PickCell's G-code is \
+//! assert_eq!(settings.unwrap_err().to_string(), "line 6: arm.moves.pick, line 2, \"G91\": G91 makes moves relative: PickCell's G-code is \
 //!     absolute, write G0 or G1 with the coordinates");
 //! ```
 
@@ -111,6 +110,22 @@ pub enum TemplateError {
         /// Why not.
         why: &'static str,
     },
+}
+
+impl TemplateError {
+    /// The dotted key that it is about; of a list, with the number of its entry.
+    pub(crate) fn key(&self) -> String {
+        match self {
+            TemplateError::Line { list, line, .. } => format!("arm.moves.{list}.{line}"),
+            TemplateError::TooMany { list, .. } => format!("arm.moves.{list}"),
+            TemplateError::NoGrasp { .. } => "arm.moves.pick".to_owned(),
+            TemplateError::NoTurn { .. } => "arm.axes".to_owned(),
+            TemplateError::Held { .. } => "arm.moves.held".to_owned(),
+            TemplateError::HeldAsk { .. } => "arm.moves.held.ask".to_owned(),
+            TemplateError::HeldExpect { .. } => "arm.moves.held.expect".to_owned(),
+            TemplateError::OwnValue { name, .. } => format!("arm.moves.values.{name}"),
+        }
+    }
 }
 
 /// One line, ready to be filled.

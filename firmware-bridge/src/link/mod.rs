@@ -32,7 +32,8 @@ pub use serial::{SerialError, SerialLink};
 pub use shared::{SharedError, SharedMemoryLink};
 pub use simulated::SimulatedLink;
 
-use crate::config::{ConfigError, LinkName, Settings};
+use crate::config::{LinkName, Settings};
+use crate::gcode::template::TemplateError;
 use crate::message::{Command, Refusal, Report};
 use crate::simulate::Faults;
 use rustix::event::{PollFd, PollFlags};
@@ -57,7 +58,7 @@ pub enum Link {
 pub enum LinkError {
     /// A move template cannot be taken.
     #[error(transparent)]
-    Config(#[from] ConfigError),
+    Template(#[from] TemplateError),
     /// The serial line.
     #[error(transparent)]
     Serial(#[from] SerialError),

@@ -1,8 +1,9 @@
 //! A dialect and a simulated arm in one process, joined byte by byte without a delay: for replays of sessions without
 //! an arm, for tests of the driver, and for a first look at the program without hardware.
 
-use crate::config::{ConfigError, Settings};
+use crate::config::Settings;
 use crate::dialect::{Dialect, TRANSMIT_LEN_MIN};
+use crate::gcode::template::TemplateError;
 use crate::message::{Command, Refusal, Report};
 use crate::simulate::{Faults, SimulatedArm};
 
@@ -19,7 +20,7 @@ impl SimulatedLink {
     ///
     /// # Errors
     /// A move template that cannot be taken.
-    pub fn new(settings: &Settings, session_seed: u32, faults: Faults) -> Result<Self, ConfigError> {
+    pub fn new(settings: &Settings, session_seed: u32, faults: Faults) -> Result<Self, TemplateError> {
         let workspace = &settings.workspace;
         let park_mm = [workspace.min_mm[0], workspace.min_mm[1], workspace.max_mm[2]];
         Ok(Self {

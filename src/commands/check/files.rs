@@ -176,7 +176,7 @@ fn region(cell: &Cell, rig: &Rig, findings: &mut Findings) {
     for (params, (side, camera)) in params.into_iter().zip(cameras) {
         let whole = params.region_px.is_empty();
         match Binarize::new(params, camera.width, camera.height) {
-            Err(error) => findings.wrong(&format!("recognition, {side} picture"), error.to_string()),
+            Err(error) => findings.wrong(&format!("{side} picture"), cell.region_error(&error).to_string()),
             Ok(binarize) => {
                 let seen: u32 = binarize
                     .region()

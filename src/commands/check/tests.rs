@@ -56,7 +56,9 @@ fn a_cell_that_is_wrong_ends_with_2() {
     let (code, text) =
         complaint("# region_px = [[0, 0], [640, 0], [640", "region_px = [[0, 0], [700, 0], [640");
     assert_eq!(code, 2);
-    assert!(text.contains("outside the 640x480 picture"), "{text}");
+    let wanted =
+        "cell.toml, line 44: recognition.region_px: corner 1 is (700, 0), outside the 640x480 picture";
+    assert!(text.contains(wanted), "{text}");
     let missing = findings(Path::new("/nowhere/cell.toml"));
     assert_eq!(missing.exit_code(), 2);
     assert!(missing.in_words().contains("name the cell's file with --cell FILE"));

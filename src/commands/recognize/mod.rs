@@ -33,7 +33,11 @@ pub fn run(args: &RecognizeArgs) -> Result<(), RecognizeError> {
         check_overlay(path, args)?;
     }
     let setup = Setup::new(args)?;
-    let mut recognizer = Recognizer::new(setup.params.clone(), setup.rig, setup.parts.clone())?;
+    let recognizer = Recognizer::new(setup.params.clone(), setup.rig, setup.parts.clone());
+    let mut recognizer = recognizer.map_err(|error| match &setup.region_of {
+        Some(cell) => cell.region_error(&error).into(),
+        None => RecognizeError::from(error),
+    })?;
     if setup.threads > 1 {
         let (owner, helper) = hands::hands().map_err(RecognizeError::System)?;
         Builder::new().spawn(move || helper.work()).map_err(RecognizeError::System)?;

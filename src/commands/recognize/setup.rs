@@ -49,6 +49,8 @@ pub(super) struct Setup {
     /// Threads that share the two pictures of a pair, 1 or 2.
     pub(super) threads: u8,
     pub(super) base_from_left: Option<Isometry3<f64>>,
+    /// The cell, where its region is looked at and its colours are.
+    pub(super) region_of: Option<Cell>,
     pub(super) pairs: Vec<PairFiles>,
     /// Whether a folder was given: a bad pair is then a line, not the end.
     pub(super) many: bool,
@@ -78,6 +80,7 @@ impl Setup {
             seed: args.seed.or(recognition.map(|r| r.seed)).unwrap_or(1),
             threads: args.threads.or(recognition.map(|r| r.threads)).unwrap_or(1),
             base_from_left: cell.and_then(|c| c.rig.base_from_left),
+            region_of: cell.filter(|_| args.region_px.is_none() && colour(args).is_none()).cloned(),
             pairs,
             many,
         })

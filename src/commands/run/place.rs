@@ -4,6 +4,7 @@ use std::fs::File;
 use std::io;
 use std::path::Path;
 
+use firmware_bridge::config::read_toml;
 use firmware_bridge::outside::read_text;
 
 use super::RunError;
@@ -17,7 +18,7 @@ use crate::files::write_atomically;
 pub(in crate::commands) fn read(path: &Path) -> Result<PlaceRecord, RunError> {
     let bad = |reason: String| RunError::PlaceRecord { path: path.to_owned(), reason };
     match read_text(path) {
-        Ok(text) => toml::from_str(&text).map_err(|e| bad(e.message().to_owned())),
+        Ok(text) => read_toml(&text).map_err(|error| bad(error.to_string())),
         Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(PlaceRecord::default()),
         Err(e) if e.kind() == io::ErrorKind::InvalidData => Err(bad("no text".into())),
         Err(reason) => Err(RunError::Unwritable { path: path.to_owned(), reason }),
@@ -47,9 +48,19 @@ mod tests {
         assert_eq!(read(&path).unwrap(), record);
         fs::write(&path, [0xff, 0xfe]).unwrap();
         assert!(read(&path).unwrap_err().to_string().contains("not a place record (no text)"));
-        for broken in ["", "next_slot = -1\nnext_id = 2", "next_slot = 1\nnext_id = 2\nx = 3", "\0\0"] {
+        for (broken, why) in [
+            ("", "(next_slot is missing"),
+            ("next_slot = 1", "(next_id is missing"),
+            (
+                "next_slot = -1\nnext_id = 2",
+                "line 1: next_slot = -1 is not possible; allowed: a whole number",
+            ),
+            ("next_slot = 1\nnext_id = 2\nx = 3", "line 3: x: there is no such key"),
+            ("\0\0", "is no TOML"),
+        ] {
             fs::write(&path, broken).unwrap();
             let message = read(&path).unwrap_err().to_string();
+            assert!(message.contains(why), "{message}");
             assert!(message.contains("empty the tray and remove the file"), "{message}");
         }
     }

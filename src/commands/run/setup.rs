@@ -95,7 +95,8 @@ impl Setup {
         let cell = Cell::read(&args.cell)?;
         let rig = Rig::read(&cell.rig.calibration)?;
         let parts = Part::read_all(&cell.recognition.parts)?;
-        let mut recognizer = Recognizer::new(cell.recognition_params(), rig, parts.clone())?;
+        let recognizer = Recognizer::new(cell.recognition_params(), rig, parts.clone());
+        let mut recognizer = recognizer.map_err(|error| cell.region_error(&error))?;
         let mut cell = cell;
         if args.soak.is_some() {
             // Nobody empties the tray of a soak.
