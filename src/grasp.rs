@@ -65,8 +65,8 @@ pub enum Blocked {
     /// The parts together tell that the right camera has turned, and by so much that not all of it is allowed for.
     #[error("the right camera does not stand as it was calibrated")]
     Turned,
-    /// Time was over before all wire was looked at: what may lie on the part is not known.
-    #[error("time was over before all wire was looked at")]
+    /// The budget was spent before all wire was looked at: what may lie on the part is not known.
+    #[error("search cut short before all wire was looked at")]
     OutOfTime,
 }
 

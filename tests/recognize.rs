@@ -285,14 +285,18 @@ fn wrong_usage_names_key_value_and_remedy() {
 }
 
 #[test]
-fn a_pair_without_time_offers_nothing_and_says_so() {
-    let pair = ["--left", LEFT, "--right", RIGHT, "--format", "json", "--deadline-ms", "0.001"];
+fn a_pair_without_time_or_iterations_offers_nothing_and_says_so() {
+    let pair = ["--left", LEFT, "--right", RIGHT, "--format", "json"];
     let rig = ["recognize", "--calibration", "replay/conveyor/calibration.yaml"];
-    let output = pickcell(&[&rig[..], &["--part", "replay/parts/rod-90.toml"], &pair].concat());
-    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
-    let result = &json_lines(&output)[0];
-    assert_eq!(result["no_pick"], "out of time");
-    assert!(result["parts"].as_array().unwrap().iter().all(|part| !part["blocked"].is_null()));
+    let time = ["--part", "replay/parts/rod-90.toml", "--deadline-ms", "0.001"];
+    let iterations = ["--part", "replay/parts/hook.toml", "--search", "random", "--iterations", "1"];
+    for limit in [&time[..], &iterations] {
+        let output = pickcell(&[&rig[..], &pair, limit].concat());
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        let result = &json_lines(&output)[0];
+        assert_eq!(result["no_pick"], "search cut short", "{limit:?}");
+        assert!(result["parts"].as_array().unwrap().iter().all(|part| !part["blocked"].is_null()));
+    }
 }
 
 /// A file of this name and content in a folder of its own.

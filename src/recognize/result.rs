@@ -97,8 +97,9 @@ pub enum NoPick {
     /// Parts were recognised, none can be taken.
     #[error("all blocked")]
     AllBlocked,
-    /// The budget was spent before all was searched and looked at, and nothing that was found by then can be taken.
-    #[error("out of time")]
+    /// The budget, in time or in iterations, was spent before all was searched and looked at, and nothing that was found
+    /// by then can be taken.
+    #[error("search cut short")]
     OutOfTime,
 }
 

@@ -124,7 +124,7 @@ impl NoPick {
         "bin empty",
         "nothing recognised",
         "all blocked",
-        "out of time",
+        "search cut short",
         "bad picture",
         "picture over limits",
         "no base_from_left",

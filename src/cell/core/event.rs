@@ -109,7 +109,7 @@ pub enum Nothing {
     NothingRecognised,
     /// Parts were recognised and every one of them is blocked.
     AllBlocked,
-    /// The budget ended before anything was recognised.
+    /// The budget, in time or in iterations, was spent before anything that can be taken was recognised.
     OutOfTime,
     /// A picture could not be decoded or has another size than the calibration.
     BadPicture,
