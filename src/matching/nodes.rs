@@ -123,10 +123,10 @@ impl ImageNodes {
     /// Lists the nodes of `graph`, bends last; `rays` of the camera that it was seen with.
     ///
     /// # Errors
-    /// Where there are more than `nodes_max`.
+    /// Where there are more than `nodes_max`, bends too.
     pub fn run(&mut self, graph: &Graph, mask: &BitImage, rays: &UndistortTable) -> Result<(), Refusal> {
         self.nodes.clear();
-        let too_many = Refusal::TooManyNodes { nodes_max: self.params.nodes_max as u32 };
+        let too_many = Refusal::TooManyImageNodes { nodes_max: self.params.nodes_max as u32 };
         if graph.nodes.len() > self.params.nodes_max {
             return Err(too_many);
         }

@@ -125,6 +125,14 @@ pub enum Refusal {
         /// The limit.
         nodes_max: u32,
     },
+    /// More end points, junctions and bends than can be matched, see [`crate::matching::nodes`].
+    #[error(
+        "the picture has more than {nodes_max} end points, junctions and bends: narrow the colour range or the region"
+    )]
+    TooManyImageNodes {
+        /// The limit.
+        nodes_max: u32,
+    },
     /// More edges than the limit.
     #[error("the picture has more than {edges_max} lines: narrow the colour range or the region")]
     TooManyEdges {
