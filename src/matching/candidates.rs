@@ -1,5 +1,25 @@
 //! Stereo nodes made ready for the searches: in single precision, with everything that fitness reads of a node
 //! side by side, worked out once a pair.
+//!
+//! ```
+//! use pickcell::matching::candidates::{Candidates, curve};
+//! use pickcell::matching::drawn::DrawnScene;
+//!
+//! let scene = DrawnScene::new(3, 4, 1);
+//! let (stereo, [left, right]) = (scene.gate.nodes(), &scene.nodes);
+//! let mut candidates = Candidates::new(stereo.len());
+//! candidates.fill(&scene.rig.geometry(), stereo, left, right, true);
+//!
+//! // All stereo nodes, in the order of the curve; each says where it was seen, and which stereo node it is.
+//! let all = candidates.all();
+//! assert_eq!(all.len(), stereo.len());
+//! assert!(all.is_sorted_by_key(|c| curve(c.node_px[0])));
+//! for candidate in all {
+//!     let of = &stereo[usize::from(candidate.stereo)];
+//!     assert_eq!((candidate.left, candidate.right), (of.left, of.right));
+//!     assert_eq!(candidate.node_px[0], left[usize::from(of.left)].position_px.cast::<f32>().data.0[0]);
+//! }
+//! ```
 
 use nalgebra::Vector2;
 

@@ -1,6 +1,28 @@
 //! Which wire of a picture is claimed, and in which directions it lies there: a wire that crosses takes nothing away.
 //!
 //! The picture is divided into cells of three pixels. Straight wire is claimed as one bar, row by row.
+//!
+//! ```
+//! use nalgebra::Vector2;
+//! use pickcell::matching::claims::ClaimMap;
+//! use pickcell::pose::verify::{PieceSight, Sight};
+//!
+//! let piece = |x: f64, y: f64, across| PieceSight {
+//!     sight: Sight::Clear,
+//!     expected_px: Vector2::new(x, y),
+//!     across,
+//!     half_width_px: 3.5,
+//!     seen_px: None,
+//! };
+//! // Level wire from x = 20 to 80.
+//! let wire = [20.0, 27.0, 34.0, 41.0, 48.0, 55.0, 62.0, 69.0, 76.0].map(|x| piece(x, 50.0, Vector2::y()));
+//! let mut claims = ClaimMap::new(100, 100);
+//! claims.claim(&wire);
+//!
+//! assert!(claims.is_claimed(&piece(50.0, 51.0, Vector2::y())), "the same wire once more");
+//! assert!(!claims.is_claimed(&piece(50.0, 51.0, Vector2::x())), "wire that crosses it");
+//! assert!(!claims.is_claimed(&piece(50.0, 58.0, Vector2::y())), "wire beside it");
+//! ```
 
 use nalgebra::Vector2;
 

@@ -83,16 +83,23 @@ impl GateParams {
 /// Workspace that lists the stereo nodes of a pair.
 ///
 /// ```
-/// use nalgebra::{Isometry3, Vector3};
-/// use pickcell::matching::gate::{Gate, GateParams};
-/// use pickcell::rig::{CameraModel, Rig};
+/// use pickcell::matching::drawn::DrawnScene;
+/// use pickcell::matching::gate::{Gate, GateParams, Mode};
 ///
-/// let camera = CameraModel::pinhole(640, 480, 600.0, 320.0, 240.0);
-/// let right_from_left = Isometry3::translation(-60.0, 0.0, 0.0);
-/// let rig = Rig { left: camera, right: camera, right_from_left };
-/// let mut gate = Gate::new(GateParams::default());
-/// gate.run(&rig, &[], &[], [2.0, 4.0]);
-/// assert!(gate.nodes().is_empty());
+/// let scene = DrawnScene::new(2, 8, 1); // eight rods: sixteen nodes in each picture
+/// let [left, right] = &scene.nodes;
+/// let pairs = |mode| {
+///     let mut gate = Gate::new(GateParams { mode, ..GateParams::default() });
+///     gate.run(&scene.rig, left, right, [0.0, 1e9]); // of any thickness
+///     gate.nodes().to_vec()
+/// };
+/// let (closed, open) = (pairs(Mode::Epipolar), pairs(Mode::None));
+/// assert!(closed.len() < open.len() && open.len() <= 16 * 16);
+/// // Every end is among them.
+/// for (pose, end) in scene.left_from_part.iter().flat_map(|pose| scene.model.anchors.iter().map(move |a| (pose, a))) {
+///     let at_mm = pose * end.position_mm;
+///     assert!(closed.iter().any(|node| (node.point_mm - at_mm).norm() < 8.0));
+/// }
 /// ```
 #[derive(Clone, Debug)]
 pub struct Gate {

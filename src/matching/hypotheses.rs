@@ -4,6 +4,26 @@
 //! and the directions of its wire do: an end with its line for a straight part, a bend or a junction with its legs
 //! for any other. An end of a bent part leaves the turn about its wire open: those are taken at which the rest of its
 //! wire is foreground.
+//!
+//! ```
+//! use pickcell::matching::drawn::DrawnScene;
+//! use pickcell::matching::exhaustive::{Exhaustive, Limits};
+//! use pickcell::matching::found::Found;
+//! use pickcell::matching::hypotheses::of_match;
+//! use pickcell::time::Budget;
+//!
+//! let scene = DrawnScene::new(4, 1, 1); // a bent part of four nodes
+//! let mut found = Found::new(16);
+//! let limits = Limits { fitness_max: 0.6, budget: Budget::Iterations(10_000), steps_max: u64::MAX };
+//! Exhaustive::new(scene.candidates.all().len()).run(&scene.judge(), &scene.candidates, limits, &mut found);
+//! found.sort();
+//!
+//! let rough = of_match(0, &scene.model, &found.matches()[0], scene.gate.nodes()).unwrap();
+//! for anchor in &scene.model.anchors {
+//!     let [is, was] = [rough.left_from_part, scene.left_from_part[0]].map(|pose| pose * anchor.position_mm);
+//!     assert!((is - was).norm() < 8.0, "nodes are seen to half a pixel, which is some millimetres of depth");
+//! }
+//! ```
 
 use std::f64::consts::TAU;
 

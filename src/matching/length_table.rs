@@ -3,6 +3,28 @@
 //! The anchors of the model are put in an order in which each hangs on an earlier one by a span (its parent). For
 //! every anchor and every candidate of its parent the table lists the candidates at the model's distance, hashed by
 //! (anchor, parent's candidate): a harmony drawn from it has the right lengths before it is judged.
+//!
+//! ```
+//! use pickcell::matching::drawn::DrawnScene;
+//! use pickcell::matching::length_table::LengthTable;
+//! use pickcell::time::Budget;
+//!
+//! let scene = DrawnScene::new(2, 5, 1); // five rods of 90 mm, two nodes each
+//! let all = scene.candidates.all();
+//! let mut table = LengthTable::new(all.len());
+//! let in_time = table.fill(&scene.model, &scene.candidates, 6.0, true, &Budget::Iterations(1));
+//! assert!(in_time);
+//!
+//! // Either end of each rod has the other one.
+//! let firsts: std::collections::BTreeSet<u16> = table.first().iter().copied().collect();
+//! assert!(firsts.len() >= 10);
+//! for &first in &firsts {
+//!     for &second in table.at_length(1, first.into()) {
+//!         let [a, b] = [first, second].map(|n| nalgebra::Point3::from(all[usize::from(n)].point_mm));
+//!         assert!(((a - b).norm() - 90.0).abs() < 6.1);
+//!     }
+//! }
+//! ```
 
 use super::candidates::Candidates;
 use super::fitness::may_be;

@@ -3,6 +3,36 @@
 //! Takes the [`Graph`] of one picture and gives [`ImageNode`]s: its end points and junctions, and the bends of its
 //! edges, each with the directions in which wire leaves it. A bend is where two straight pieces of a chain meet;
 //! its place is the meeting point of the lines through both, which is where a part file puts a `via`.
+//!
+//! ```
+//! use nalgebra::Vector2;
+//! use pickcell::matching::nodes::{ImageNodes, NodeRole, Params};
+//! use pickcell::rig::{CameraModel, UndistortTable};
+//! use pickcell::vision::bits::BitImage;
+//! use pickcell::vision::graph::{self, Graph, Graphs};
+//! use pickcell::vision::thin::{self, whole::WholeThin};
+//!
+//! // A hook, five pixels thick: level wire, and upright wire at its right end.
+//! let mut mask = BitImage::new(160, 120);
+//! for (x, y) in (28..100).flat_map(|y| (20..121).map(move |x| (x, y))) {
+//!     mask.set(x, y, y <= 32 || x >= 116);
+//! }
+//! let (mut skeleton, mut graph) = (mask.clone(), Graph::default());
+//! WholeThin::new(thin::Params::default(), 160, 120).run(&mask, &mut skeleton);
+//! Graphs::new(graph::Params::for_size(160, 120), 160, 120).run(&skeleton, &mask, None, &mut graph)?;
+//!
+//! let rays = UndistortTable::new(&CameraModel::pinhole(160, 120, 150.0, 80.0, 60.0), 0.005);
+//! let mut nodes = ImageNodes::new(Params::default());
+//! nodes.run(&graph, &mask, &rays)?;
+//! let [a, b, bend] = nodes.nodes() else { panic!("two ends and a bend") };
+//! assert_eq!([a.role, b.role, bend.role], [NodeRole::End, NodeRole::End, NodeRole::Bend]);
+//! assert!((bend.position_px - Vector2::new(118.0, 30.0)).norm() < 1.5 && bend.legs().len() == 2);
+//!
+//! let mut few = ImageNodes::new(Params { nodes_max: 2, ..Params::default() });
+//! let refusal = few.run(&graph, &mask, &rays).unwrap_err().to_string();
+//! assert!(refusal.starts_with("the picture has more than 2 end points, junctions and bends"));
+//! # Ok::<(), graph::Refusal>(())
+//! ```
 
 use nalgebra::Vector2;
 

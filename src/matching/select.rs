@@ -3,6 +3,35 @@
 //! Every explanation is worth the length of wire that it shows with both outlines, less what speaks against it.
 //! The most valuable one stands and claims its stretches of wire; all others lose what it claimed, until none is
 //! left that still has a case.
+//!
+//! ```
+//! use nalgebra::{Isometry3, Vector3};
+//! use pickcell::matching::claims::ClaimMap;
+//! use pickcell::matching::select::{Params, Worth, worth};
+//! use pickcell::part::Part;
+//! use pickcell::pose::drawn::DrawnPair;
+//! use pickcell::pose::model::PoseModel;
+//! use pickcell::pose::refine::{self, Refine};
+//! use pickcell::pose::verify::{Verdict, verify};
+//!
+//! let model = PoseModel::new(&Part::read(concat!(env!("CARGO_MANIFEST_DIR"), "/replay/parts/rod-90.toml"))?);
+//! let truth = Isometry3::new(Vector3::new(20.0, -10.0, 470.0), Vector3::z() * 0.9);
+//! let drawn = DrawnPair::new(&[(&model, truth)]);
+//! let views = drawn.views();
+//! let mut refine = Refine::new(refine::Params { lift_radii: 0.0, ..Default::default() }, &drawn.rig);
+//! let fit = refine.fine(&model, &truth, &views).unwrap();
+//! let mut verdict = Verdict::default();
+//! verify(&refine, &model, &[], &fit.left_from_part, &views, &mut verdict);
+//!
+//! // The first explanation of a wire is worth its length; one more of the same wire is worth nothing.
+//! let mut claims = [ClaimMap::new(640, 480), ClaimMap::new(640, 480)];
+//! assert!(worth(&Params::default(), &model, &fit, &verdict, &claims).now_mm > 80.0);
+//! for (side, claims) in claims.iter_mut().enumerate() {
+//!     claims.claim(verdict.pieces.iter().map(|piece| &piece[side]));
+//! }
+//! assert_eq!(worth(&Params::default(), &model, &fit, &verdict, &claims), Worth::NONE);
+//! # Ok::<(), pickcell::part::PartError>(())
+//! ```
 
 use super::claims::ClaimMap;
 use crate::pose::model::PoseModel;

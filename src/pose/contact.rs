@@ -4,6 +4,32 @@
 //! tell which lies on top, and their axes are nearer to each other than the radii allow, moves both into contact, which is how parts lie on
 //! each other: as the state of a Kalman filter follows a measurement that the gap between them is nought. The pose that is
 //! known less moves more.
+//!
+//! ```
+//! use nalgebra::{Isometry3, Matrix6, Vector3, Vector6};
+//! use pickcell::part::Part;
+//! use pickcell::pose::contact::{Placed, press_apart};
+//! use pickcell::pose::model::PoseModel;
+//!
+//! let rod = Part::read(concat!(env!("CARGO_MANIFEST_DIR"), "/replay/parts/rod-90.toml"))?; // 3 mm thick
+//! let model = PoseModel::new(&rod);
+//! // Their axes cross 0.2 mm apart; the upper one is known to a millimetre, the lower one to a tenth.
+//! let lying = |yaw, depth_mm| Isometry3::new(Vector3::z() * depth_mm, Vector3::z() * yaw);
+//! let mut poses = [lying(0.0, 499.8), lying(1.2, 500.0)];
+//! let known = |mm: f64| Matrix6::from_diagonal(&Vector6::new(mm * mm, mm * mm, mm * mm, 3e-5, 3e-5, 3e-5));
+//! let mut covariances = [known(1.0), known(0.1)];
+//!
+//! let ([upper, lower], [upper_known, lower_known]) = (&mut poses, &mut covariances);
+//! let mut upper = Placed { model: &model, left_from_part: upper, covariance: upper_known };
+//! let mut lower = Placed { model: &model, left_from_part: lower, covariance: lower_known };
+//! press_apart(&mut upper, &mut lower, &Vector3::z(), |_, _| Some(true));
+//!
+//! // A thickness apart now; what was known less has moved, and is known better.
+//! let [upper, lower] = poses.map(|pose| pose.translation.z);
+//! assert!((upper - 497.0).abs() < 0.2 && (lower - 500.0).abs() < 0.1);
+//! assert!(covariances[0][(2, 2)].sqrt() < 0.3);
+//! # Ok::<(), pickcell::part::PartError>(())
+//! ```
 
 use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector3, Vector6};
 

@@ -2,6 +2,34 @@
 //!
 //! The upper wire goes through a crossing as bright along its middle as beside it; the lower one is interrupted there by
 //! the flanks of the upper one, which the light leaves dark, and by its shadow.
+//!
+//! ```
+//! use nalgebra::{Point3, Vector3};
+//! use pickcell::frame::Frame;
+//! use pickcell::pose::contact::Passing;
+//! use pickcell::pose::drawn::DrawnPair;
+//! use pickcell::pose::over::is_over;
+//!
+//! // Half a metre away at (0, 0) a level wire lies over an upright one, which its dark flanks interrupt. The right camera,
+//! // 60 mm to the right, sees the crossing 72 pixels farther left.
+//! let mut drawn = DrawnPair::new(&[]);
+//! drawn.frames = [320, 248].map(|crossing_x: i32| {
+//!     let pixels = (0..480).flat_map(|y: i32| {
+//!         (0..640).map(move |x: i32| match ((y - 240).abs(), (x - crossing_x).abs()) {
+//!             (0..=1, _) => 200,
+//!             (2..=3, _) => 90,
+//!             (_, 0..=1) => 190,
+//!             (_, 2..=3) => 90,
+//!             _ => 30,
+//!         })
+//!     });
+//!     Frame::from_grey(640, 480, pixels.collect())
+//! });
+//! let wire = |along| Passing { at_mm: Point3::new(0.0, 0.0, 500.0), along, radius_mm: 2.5 };
+//! let (level, upright) = (wire(Vector3::x()), wire(Vector3::y()));
+//! assert_eq!(is_over(&level, &upright, &drawn.views()), Some(true));
+//! assert_eq!(is_over(&upright, &level, &drawn.views()), Some(false));
+//! ```
 
 use super::aim::aim;
 use super::contact::Passing;

@@ -3,6 +3,28 @@
 //! Nothing holds such a part along itself but what is seen of its wire: it lies where there is wire, and not where wire
 //! of its width is seen to go on beyond it. Where a neighbour hides both of its ends, that leaves some places; it most
 //! likely lies in their middle.
+//!
+//! ```
+//! use nalgebra::{Isometry3, Vector3};
+//! use pickcell::part::Part;
+//! use pickcell::pose::drawn::DrawnPair;
+//! use pickcell::pose::model::PoseModel;
+//! use pickcell::pose::refine::{Params, Refine};
+//! use pickcell::pose::slide::to_middle;
+//!
+//! let model = PoseModel::new(&Part::read(concat!(env!("CARGO_MANIFEST_DIR"), "/replay/parts/rod-90.toml"))?);
+//! let truth = Isometry3::new(Vector3::new(20.0, -10.0, 470.0), Vector3::z() * 0.9);
+//! let drawn = DrawnPair::new(&[(&model, truth)]);
+//! let refine = Refine::new(Params { lift_radii: 0.0, ..Params::default() }, &drawn.rig);
+//!
+//! // On the wire, but 9 mm too far along it.
+//! let along = truth.rotation * model.straight_along.unwrap();
+//! let mut slid = truth;
+//! slid.translation.vector += along * 9.0;
+//! let back = to_middle(&refine, &model, &slid, &drawn.views());
+//! assert!((back.translation.vector - truth.translation.vector).norm() < 1.5);
+//! # Ok::<(), pickcell::part::PartError>(())
+//! ```
 
 use arrayvec::ArrayVec;
 use nalgebra::{Isometry3, Translation3};

@@ -1,4 +1,38 @@
 //! What the pictures say for and against a part at a pose.
+//!
+//! ```
+//! use nalgebra::{Isometry3, Vector3};
+//! use pickcell::part::Part;
+//! use pickcell::pose::drawn::DrawnPair;
+//! use pickcell::pose::model::PoseModel;
+//! use pickcell::pose::refine::{Params, Refine};
+//! use pickcell::pose::verify::{Stop, Verdict, verify};
+//!
+//! let parts = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/replay/parts"));
+//! let rod = PoseModel::new(&Part::read(parts.join("rod-90.toml"))?);
+//! let short = PoseModel::new(&Part::read(parts.join("rod-60.toml"))?);
+//! let truth = Isometry3::new(Vector3::new(20.0, -10.0, 470.0), Vector3::z() * 0.9);
+//! let drawn = DrawnPair::new(&[(&rod, truth)]);
+//!
+//! let verdict_on = |model: &PoseModel| {
+//!     let mut refine = Refine::new(Params { lift_radii: 0.0, ..Params::default() }, &drawn.rig);
+//!     let fit = refine.fine(model, &truth, &drawn.views()).unwrap();
+//!     let stops = model.ends.iter().enumerate();
+//!     let stops: Vec<Stop> = stops
+//!         .map(|(k, end)| Stop { position_mm: end.position_mm, onward: end.outward, end: Some(k) })
+//!         .collect();
+//!     let mut verdict = Verdict::default();
+//!     verify(&refine, model, &stops, &fit.left_from_part, &drawn.views(), &mut verdict);
+//!     verdict
+//! };
+//! let verdict = verdict_on(&rod);
+//! assert_eq!((verdict.ends_seen, verdict.missing, verdict.overrun_mm), (4, [0.0; 2], 0.0));
+//! assert!(verdict.clear.iter().all(|share| *share > 0.9));
+//! // A shorter rod fits the same wire; what speaks against it is that the wire goes on and no end is seen.
+//! let verdict = verdict_on(&short);
+//! assert!(verdict.ends_seen == 0 && verdict.overrun_mm > 5.0);
+//! # Ok::<(), pickcell::part::PartError>(())
+//! ```
 
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 

@@ -6,6 +6,42 @@
 //! | segments between matched nodes | blue, along the wire; thinner where the part cannot be picked |
 //! | fitness | red, behind the part's rank |
 //! | grasp | where the tool comes down: closing direction of the fingers red, wire green, approach yellow |
+//!
+//! ```
+//! use pickcell::part::Part;
+//! use pickcell::recognize::{Params, Recognition, Recognizer};
+//! use pickcell::report::overlay::Overlay;
+//! use pickcell::session::Session;
+//! use pickcell::{frame::FramePair, rig::Rig, time::Budget};
+//!
+//! let replay = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/replay"));
+//! let rig = Rig::read(replay.join("conveyor/calibration.yaml"))?;
+//! let parts = [Part::read(replay.join("parts/rod-90.toml"))?];
+//! let mut recognizer = Recognizer::new(Params::default(), rig, parts.to_vec())?;
+//! let session = Session::open(&replay.join("conveyor"))?;
+//! let [Some(left), Some(right)] = &session.pairs[0].pictures else { panic!("a whole pair") };
+//! let pair = FramePair { left: left.read_raw()?, right: right.read_raw()? };
+//! let mut found = Recognition::default();
+//! recognizer.run(&pair, Budget::Iterations(20_000), 1, &mut found)?;
+//!
+//! let [left, right] = recognizer.pictures();
+//! let overlay = Overlay {
+//!     frames: [&pair.left, &pair.right],
+//!     graphs: [left, right].map(|picture| (picture.graph(), picture.halvings())),
+//!     rig: recognizer.rig(),
+//!     parts: &parts,
+//!     found: &found.parts,
+//!     base_from_left: Default::default(),
+//!     caption: "",
+//! };
+//! let (with, without) = (overlay.draw(), Overlay { found: &[], ..overlay }.draw());
+//! // Blue along the wire: the pixel at a recognised end has changed.
+//! let end = found.parts[0].nodes[0].left_px;
+//! let [x, y] = [end.x.round() as usize, end.y.round() as usize];
+//! assert_ne!(with.pixel(x, y), without.pixel(x, y));
+//! assert!(with.to_png()?.starts_with(b"\x89PNG"));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 
