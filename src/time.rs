@@ -236,6 +236,14 @@ impl Watch {
         self.rang
     }
 
+    /// From now on it rings when this share of the time that is left by now is over, where a moment decides that. How often
+    /// it was asked counts on.
+    pub fn set_again(&mut self, budget: Budget, share: f64) {
+        if let (Rings::At(end), Budget::Until(again)) = (&mut self.rings, budget.share(share)) {
+            *end = again;
+        }
+    }
+
     /// The moment at which time is over; `None` where that is no moment.
     pub fn end(&self) -> Option<Timestamp> {
         if let Rings::At(end) = self.rings { Some(end) } else { None }
@@ -306,6 +314,19 @@ mod tests {
         let mut endless = Budget::Repeated(spent).exchanges(0.5);
         assert!((0..1000).all(|_| !endless.is_over()) && endless.rang_after().is_none());
         assert!(Budget::Repeated(spent).is_spent(7) && !Budget::Repeated(spent).is_late());
+    }
+
+    #[test]
+    fn a_watch_that_is_set_again_rings_later_and_counts_on() {
+        let budget = Budget::Until(Timestamp::now().after(Duration::from_secs(3600)));
+        let mut watch = Budget::Until(Timestamp::now().after(Duration::from_millis(20))).looks(0.5);
+        assert!(!watch.is_over());
+        watch.set_again(budget, 0.5);
+        std::thread::sleep(Duration::from_millis(20));
+        assert!(!watch.is_over() && watch.asked == 2);
+        let mut counted = Budget::Repeated(Spent { looks: Some(1), ..Spent::default() }).looks(0.5);
+        counted.set_again(budget, 0.5);
+        assert!(!counted.is_over() && counted.is_over() && counted.rang_after() == Some(1));
     }
 
     #[test]

@@ -208,7 +208,7 @@ fn pictures_of_thick_wire_are_halved_and_a_turned_camera_allowed_for_without_an_
     let mut run = |pair: &FramePair| {
         recognizer.run(pair, Budget::Iterations(100_000), 1, &mut found).unwrap();
         assert_eq!(recognizer.pictures()[0].halvings(), 1);
-        assert!(found.turned.is_some_and(|turned| turned.allowed_for));
+        assert!(found.turned.is_some_and(|turned| turned.is_allowed_for()));
         found.parts.len()
     };
     run(&pairs[0]);

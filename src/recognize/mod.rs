@@ -54,7 +54,7 @@ use crate::picture::{Picture, halvings};
 use crate::pose::gloss::Gloss;
 use crate::pose::section::HALF_WAY;
 use crate::rig::Rig;
-use crate::time::{Budget, Spent, Timestamp, Watch};
+use crate::time::{Budget, Timestamp, Watch};
 use crate::vision::binarize;
 use crate::vision::ridge::{self, Ridges};
 
@@ -66,7 +66,7 @@ use unexplained::{is_claimed, unexplained_px};
 use unknown::Unknown;
 use views::{lit, outline_256, views};
 
-/// Shares of the time that is left each time: for the search, for looking at what it found, which takes about as long, and
+/// Shares of the time that is left each time, in each go at a pair: for the search, for looking at what it found, which takes about as long, and
 /// for the competition. The rest is for the grasps.
 const SEARCH_SHARE: f64 = 0.5;
 const LOOK_SHARE: f64 = 0.7;
@@ -188,9 +188,11 @@ impl Recognizer {
         self.look(pair, &mut stages)?;
         let nodes = |p: &Picture| p.graph().nodes.len();
         (out.nodes_left, out.nodes_right) = (nodes(&self.pictures[0]), nodes(&self.pictures[1]));
-        let watches = &mut Watches::default();
+        let watches =
+            &mut Watches { looking: budget.looks(LOOK_SHARE), exchanging: budget.exchanges(COMPETE_SHARE) };
         let in_time = self.recognise_turned(pair, budget, seed, watches, &mut stages, out);
-        watches.note(&mut out.spent);
+        (out.spent.looks, out.spent.exchanges) =
+            (watches.looking.rang_after(), watches.exchanging.rang_after());
         out.out_of_time |= !in_time;
         let recognised = Timestamp::now();
         self.grasp(in_time, out);
@@ -225,7 +227,8 @@ impl Recognizer {
         let matched = Timestamp::now();
         self.judge_gloss(pair);
         self.explanations.clear(self.pictures.each_ref().map(Picture::nodes));
-        let looking = watches.looking.get_or_insert_with(|| budget.looks(LOOK_SHARE));
+        let Watches { looking, exchanging } = watches;
+        looking.set_again(budget, LOOK_SHARE);
         let mut all_looked_at = self.explain(pair, false, looking);
         if all_looked_at && !looking.is_over() && self.search_ends(looking) {
             all_looked_at = self.explain(pair, true, looking);
@@ -234,7 +237,7 @@ impl Recognizer {
             all_looked_at = self.explain(pair, true, looking);
         }
         all_looked_at &= !looking.is_over();
-        let exchanging = watches.exchanging.get_or_insert_with(|| budget.exchanges(COMPETE_SHARE));
+        exchanging.set_again(budget, COMPETE_SHARE);
         let in_time = self.compete(pair, exchanging, out) && all_looked_at;
         stages.match_ns += matched.since(begin).max(0) as u64;
         stages.pose_ns += Timestamp::now().since(matched).max(0) as u64;
@@ -429,18 +432,10 @@ impl Recognizer {
     }
 }
 
-/// What tells when the time for looking and for the competition is over; it is shared by all that is done with a pair.
-#[derive(Default)]
+/// What tells when the time for looking and for the competition is over, and how often it was asked over all goes at a pair.
 struct Watches {
-    looking: Option<Watch>,
-    exchanging: Option<Watch>,
-}
-
-impl Watches {
-    fn note(&self, spent: &mut Spent) {
-        let rang_after = |watch: &Option<Watch>| watch.as_ref().and_then(Watch::rang_after);
-        (spent.looks, spent.exchanges) = (rang_after(&self.looking), rang_after(&self.exchanging));
-    }
+    looking: Watch,
+    exchanging: Watch,
 }
 
 /// How far away parts can be seen at all: not nearer than half the baseline, where no lens shows both cameras the same, and

@@ -5,6 +5,7 @@ use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 
 use crate::grasp::{Blocked, Grasp};
 use crate::part::NODES_MAX;
+use crate::rig::Rig;
 use crate::time::Spent;
 use crate::vision::{binarize, graph};
 
@@ -187,7 +188,22 @@ impl StageTimes {
     }
 }
 
+impl Turned {
+    /// Whether the poses allow for anything.
+    pub fn is_allowed_for(&self) -> bool {
+        self.allowed_for != Vector3::zeros()
+    }
+}
+
 impl Recognition {
+    /// The rig as the poses have it: calibrated so, and the right camera turned as is allowed for.
+    pub fn rig(&self, calibrated: &Rig) -> Rig {
+        match self.turned {
+            Some(turned) if turned.is_allowed_for() => calibrated.with_right_turned(&turned.allowed_for),
+            _ => *calibrated,
+        }
+    }
+
     /// Nothing yet, with memory for as many parts as a pair can give.
     pub fn with_room() -> Self {
         Self { parts: Vec::with_capacity(PARTS_MAX), ..Self::default() }
@@ -207,8 +223,9 @@ pub struct Turned {
     pub rim_px: f64,
     /// Its standard deviation.
     pub rim_sigma_px: f64,
-    /// Whether the poses allow for it: only for what is certain.
-    pub allowed_for: bool,
+    /// What the poses allow for, the certain part of it: a rotation vector, radians, along the left camera's axes; nought
+    /// where that is nothing.
+    pub allowed_for: Vector3<f64>,
     /// Whether more is certain than is allowed for: then nothing is offered.
     pub in_doubt: bool,
 }

@@ -171,10 +171,10 @@ fn a_right_camera_that_has_turned_is_told_and_allowed_for() {
         let frames = frames(&session, pair, [0, 0]);
         let right = run(&mut as_it_stands, &frames);
         let told = right.turned.unwrap();
-        assert!(told.rows_px.abs() < 0.15 && !told.allowed_for, "{told:?}");
+        assert!(told.rows_px.abs() < 0.15 && !told.is_allowed_for(), "{told:?}");
         let found = run(&mut as_calibrated, &frames);
         let told = found.turned.unwrap();
-        assert!((told.rows_px - rows_px).abs() < 0.15 && told.allowed_for, "{told:?}");
+        assert!((told.rows_px - rows_px).abs() < 0.15 && told.is_allowed_for(), "{told:?}");
         assert!((told.rim_px - 0.8).abs() < 0.4, "{told:?}");
         let is_there = |a: &FoundPart| {
             found.parts.iter().any(|b| (a.grasp.position_mm - b.grasp.position_mm).norm() < 1.5)
@@ -185,5 +185,9 @@ fn a_right_camera_that_has_turned_is_told_and_allowed_for() {
         // What was allowed for in one pair is forgotten in the next.
         assert_eq!(run(&mut as_calibrated, &frames).turned, found.turned);
     }
-    assert_eq!(*as_calibrated.rig(), rig.with_right_turned(&-turn));
+    let calibrated = rig.with_right_turned(&-turn);
+    assert_eq!(*as_calibrated.rig(), calibrated);
+    let allowed_for = run(&mut as_calibrated, &frames(&session, 0, [0, 0])).rig(&calibrated);
+    let left = allowed_for.right_from_left.rotation.angle_to(&rig.right_from_left.rotation);
+    assert!(left * rig.right.fy < 0.5, "{left} radians");
 }

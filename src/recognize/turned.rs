@@ -23,11 +23,11 @@ const WORTH_IT: f64 = 0.5;
 /// What the model of wire and ends leaves of a turn that is none, in pixels, whatever the number of parts.
 const MODEL_SIGMA_PX: [f64; 2] = [0.04, 0.08];
 /// A camera has not turned by more than about this, in radians: where nothing is seen of a turn there is none.
-const START_SIGMA: f64 = 0.02;
+const TURN_SIGMA: f64 = 0.02;
 
 impl Recognizer {
-    /// From graphs to parts, with the right camera as calibrated, and once more as it stands where the parts tell that for
-    /// certain; says whether there was time for all.
+    /// From graphs to parts, with the right camera as calibrated, and anew as it stands where the parts tell that for
+    /// certain, until nothing is left of it; says whether there was time for all.
     pub(super) fn recognise_turned(
         &mut self,
         pair: &FramePair,
@@ -46,8 +46,8 @@ impl Recognizer {
             let Some(more) = self.judge_turn(out).filter(|_| in_time && !out.out_of_time) else { break };
             let (before, parts) = (self.turn, out.parts.len());
             in_time = with(self, before + more, out);
-            // What explains the pictures worse is not how the camera stands.
-            if in_time && out.parts.len() < parts {
+            // What explains the pictures worse is not how the camera stands; one of many parts may have been none.
+            if in_time && !out.out_of_time && 10 * out.parts.len() < 9 * parts {
                 in_time = with(self, before, out);
                 break;
             }
@@ -68,9 +68,10 @@ impl Recognizer {
     fn judge_turn(&self, out: &mut Recognition) -> Option<Vector3<f64>> {
         let mut seen = TurnSeen::default();
         self.explanations.standing().for_each(|explanation| seen += &explanation.turn);
-        let (turned, more) = turned(&self.scales[0].rig, &seen, &self.turn)?;
-        let allowed_for = self.turn != Vector3::zeros();
-        out.turned = (!out.parts.is_empty()).then_some(Turned { allowed_for, ..turned });
+        out.turned = None;
+        let model_px = f64::from(1 << self.pictures[0].halvings());
+        let (turned, more) = turned(&self.scales[0].rig, &seen, &self.turn, model_px)?;
+        out.turned = (!out.parts.is_empty()).then_some(Turned { allowed_for: self.turn, ..turned });
         more
     }
 }
@@ -109,15 +110,21 @@ impl Axes {
     }
 }
 
-/// How far the right camera has turned, beyond the `before` that was allowed for, as all parts together tell, and what
-/// is to be allowed for: a rotation vector, radians, along the left camera's axes, if that is certain.
+/// How far the right camera has turned, as all parts together tell, and what is to be allowed for beyond the `before` that
+/// was: a rotation vector, radians, along the left camera's axes, if that is certain. The model's pixels are `model_px` of
+/// the pictures'.
 ///
-/// A turn about the third direction changes distances and nothing else: parts that are longer than their files say look
-/// the same. It is solved for and not believed.
-fn turned(rig: &Rig, seen: &TurnSeen, before: &Vector3<f64>) -> Option<(Turned, Option<Vector3<f64>>)> {
+/// A turn about what is upright upon the baseline changes distances and nothing else: parts that are longer than their files
+/// say look the same. It is solved for and not believed.
+fn turned(
+    rig: &Rig,
+    seen: &TurnSeen,
+    before: &Vector3<f64>,
+    model_px: f64,
+) -> Option<(Turned, Option<Vector3<f64>>)> {
     let Axes { left_from_axes, px_per_radian } = Axes::of(rig)?;
     let normal =
-        left_from_axes.tr_mul(&(seen.normal * left_from_axes)) + Matrix3::identity() / START_SIGMA.powi(2);
+        left_from_axes.tr_mul(&(seen.normal * left_from_axes)) + Matrix3::identity() / TURN_SIGMA.powi(2);
     let right_side = left_from_axes.tr_mul(&seen.right_side);
     let covariance = normal.try_inverse()?;
     let free = covariance * right_side;
@@ -126,7 +133,8 @@ fn turned(rig: &Rig, seen: &TurnSeen, before: &Vector3<f64>) -> Option<(Turned, 
     }
     let before = left_from_axes.tr_mul(before);
     let [rows, rim] = [(0, 0), (2, 1)].map(|(axis, k)| {
-        let sigma_px = (covariance[(axis, axis)].sqrt() * px_per_radian[k]).hypot(MODEL_SIGMA_PX[k]);
+        let sigma_px =
+            (covariance[(axis, axis)].sqrt() * px_per_radian[k]).hypot(MODEL_SIGMA_PX[k] * model_px);
         let more_px = free[axis] * px_per_radian[k];
         let px = before[axis] * px_per_radian[k] + more_px;
         let is_certain = px.abs() > CERTAIN_SIGMAS * sigma_px;
@@ -134,7 +142,7 @@ fn turned(rig: &Rig, seen: &TurnSeen, before: &Vector3<f64>) -> Option<(Turned, 
             px,
             sigma_px,
             is_certain,
-            is_worth_it: is_certain && more_px.abs() > WORTH_IT * MODEL_SIGMA_PX[k],
+            is_worth_it: is_certain && more_px.abs() > WORTH_IT * MODEL_SIGMA_PX[k] * model_px,
             in_doubt: more_px.abs() > CERTAIN_SIGMAS * sigma_px,
         }
     });
@@ -149,7 +157,7 @@ fn turned(rig: &Rig, seen: &TurnSeen, before: &Vector3<f64>) -> Option<(Turned, 
     if !(rows.is_worth_it || rim.is_worth_it) {
         return Some((told, None));
     }
-    // What is not certain is none; the rest is solved for without it.
+    // What is not certain stays as it is; the rest is solved for without it.
     let mut pinned = normal;
     for (axis, of_axis) in [(0, rows), (2, rim)] {
         if !of_axis.is_certain {
@@ -190,27 +198,24 @@ mod tests {
     fn only_what_is_certain_is_allowed_for_and_distances_never() {
         let none = Vector3::zeros();
         let half_a_pixel = Vector3::new(0.5 / 700.0, 0.5 / 700.0, 0.0);
-        let (told, more) = turned(&rig(), &seen(&half_a_pixel, 0.05), &none).unwrap();
-        assert!(
-            (told.rows_px - 0.5).abs() < 0.01 && told.rim_px.abs() < 0.01 && !told.allowed_for,
-            "{told:?}"
-        );
+        let (told, more) = turned(&rig(), &seen(&half_a_pixel, 0.05), &none, 1.0).unwrap();
+        assert!((told.rows_px - 0.5).abs() < 0.01 && told.rim_px.abs() < 0.01 && told.in_doubt, "{told:?}");
         let more = more.unwrap();
         assert!((more.x * 700.0 - 0.5).abs() < 0.01 && more.y == 0.0 && more.z == 0.0, "{more}");
         // What is allowed for already is told with the rest, and not allowed for twice.
-        let (told, more) = turned(&rig(), &seen(&none, 0.05), &more).unwrap();
-        assert!((told.rows_px - 0.5).abs() < 0.01 && more.is_none());
-        let (told, more) = turned(&rig(), &seen(&half_a_pixel, 0.3), &none).unwrap();
+        let (told, more) = turned(&rig(), &seen(&none, 0.05), &more, 1.0).unwrap();
+        assert!((told.rows_px - 0.5).abs() < 0.01 && !told.in_doubt && more.is_none());
+        let (told, more) = turned(&rig(), &seen(&half_a_pixel, 0.3), &none, 1.0).unwrap();
         assert!(more.is_none() && told.rows_sigma_px > 0.29, "{told:?}");
         // Without parts nothing is known, and nothing is turned.
-        let (told, more) = turned(&rig(), &TurnSeen::default(), &none).unwrap();
+        let (told, more) = turned(&rig(), &TurnSeen::default(), &none, 1.0).unwrap();
         assert!(more.is_none() && told.rows_px == 0.0 && told.rows_sigma_px > 10.0, "{told:?}");
     }
 
     #[test]
     fn a_turn_about_the_line_of_sight_is_told_at_the_rim() {
         let turn = Vector3::new(0.0, 0.0, 1.0 / 320.0);
-        let (told, more) = turned(&rig(), &seen(&turn, 0.05), &Vector3::zeros()).unwrap();
+        let (told, more) = turned(&rig(), &seen(&turn, 0.05), &Vector3::zeros(), 1.0).unwrap();
         assert!(told.rows_px.abs() < 0.01 && (told.rim_px - 1.0).abs() < 0.01, "{told:?}");
         assert!((more.unwrap() - turn).norm() < 1e-4);
     }

@@ -252,7 +252,7 @@ impl Own {
                 Ok(())
             }
             Command::Pick(pick) => self.take_pick(pick, now_ns).inspect_err(|_| {
-                if self.announced == Announced::Ready {
+                if self.announced == Announced::Ready && self.hold.is_none() && self.position_known {
                     self.reports.push(Report::Ready { clear_of_view: self.clear_of_view });
                 }
             }),

@@ -238,6 +238,8 @@ pub struct RecordedLink {
     coming: VecDeque<(i64, Report)>,
     state: State,
     ready: bool,
+    /// What it said of that last.
+    clear_of_view: bool,
     session: u32,
     sequence: u32,
     releases: usize,
@@ -271,6 +273,7 @@ impl RecordedLink {
             answers,
             state: State::Absent,
             ready: false,
+            clear_of_view: false,
             session: session_seed,
             sequence: 0,
             releases: 0,
@@ -289,8 +292,7 @@ impl RecordedLink {
             Command::Pick(pick) => {
                 return self.take(&pick, now_ns).inspect_err(|_| {
                     if self.ready {
-                        let clear_of_view = self.not_before_ns != i64::MAX;
-                        self.say(now_ns, Report::Ready { clear_of_view });
+                        self.say(now_ns, Report::Ready { clear_of_view: self.clear_of_view });
                     }
                 });
             }
@@ -371,6 +373,7 @@ impl RecordedLink {
         // What the arm would have said if nothing more had been asked of it.
         self.coming.clear();
         let Some(list) = self.answers.picks.get(self.picks) else {
+            self.ready = false;
             self.say(now_ns, Report::Held { by: HeldBy::RecordingOver });
             return Err(Refusal::NoRecordedAnswer);
         };
@@ -424,9 +427,12 @@ impl RecordedLink {
             Report::Disconnected { .. } => self.rest(State::Absent),
             Report::Held { .. } | Report::PositionUnknown => self.rest(State::Held),
             Report::Alarm { .. } => self.rest(State::Alarmed),
-            Report::ClearOfView => self.not_before_ns = self.not_before_ns.min(now_ns),
+            Report::ClearOfView => {
+                self.clear_of_view = true;
+                self.not_before_ns = self.not_before_ns.min(now_ns);
+            }
             Report::Ready { clear_of_view } => {
-                self.ready = true;
+                (self.ready, self.clear_of_view) = (true, clear_of_view);
                 let dwell_ns = if clear_of_view { 0 } else { self.clear_dwell_ns };
                 self.not_before_ns = self.not_before_ns.min(now_ns.saturating_add(dwell_ns));
             }

@@ -163,6 +163,7 @@ fn when_the_answers_are_used_up_the_target_is_refused_and_the_arm_on_hold() {
         "the answers of the recorded session's arm are used up"
     );
     assert!(replay.run_until(|r| *r == Report::Held { by: HeldBy::RecordingOver }));
+    assert_eq!(replay.link.poll(replay.now_ns), None, "it is not ready besides");
     assert_eq!(replay.link.command(Command::Pick(pick), replay.now_ns), Err(Refusal::OnHold));
 }
 
@@ -290,7 +291,7 @@ fn an_arm_that_does_not_say_when_it_is_clear_gets_its_dwell() {
     let early = replay.pick(1);
     assert_eq!(replay.link.command(Command::Pick(early), replay.now_ns), Err(Refusal::SeenTooEarly));
     let again = replay.link.poll(replay.now_ns);
-    assert!(matches!(again, Some(Report::Ready { .. })), "as ready as before: {again:?}");
+    assert_eq!(again, Some(Report::Ready { clear_of_view: false }), "as ready as before");
     replay.now_ns += 200 * MS;
     let pick = replay.pick(1);
     assert_eq!(replay.link.command(Command::Pick(pick), replay.now_ns), Ok(()));

@@ -327,7 +327,7 @@ impl Core {
         let dwell_ms = self.settings.arm.clear_dwell_ms;
         if clear_of_view {
             self.arm.says_clear = true;
-            // From here on and not from when it came out of the view: that is what the link's gate counts from.
+            // From here on and not from when it came out of the view: no link's gate counts from later.
             self.arm.clear_since = Some(now);
             self.arm.dwell_until = None;
         } else if self.arm.says_clear {

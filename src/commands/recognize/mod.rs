@@ -161,7 +161,7 @@ impl Job<'_> {
         let overlay = Overlay {
             frames: [&raw[0], &raw[1]],
             graphs: [left, right].map(|picture| (picture.graph(), picture.halvings())),
-            rig: &self.setup.rig,
+            rig: &self.found.rig(&self.setup.rig),
             parts: &self.setup.parts,
             found: &self.found.parts,
             base_from_left: self.setup.base_from_left.unwrap_or_default(),

@@ -172,11 +172,13 @@ impl<'a> PairResult<'a> {
             write!(out, "no pick: {reason}; ")?;
         }
         writeln!(out, "{} and {} nodes, {}", self.nodes_left, self.nodes_right, self.times())?;
-        if let Some(TurnedResult { rows_px, rim_px, allowed_for: true, .. }) = self.right_camera_turned {
+        if let Some(turned) = self.right_camera_turned.as_ref().filter(|t| t.allowed_for || t.in_doubt) {
+            let TurnedResult { rows_px, rim_px, in_doubt, .. } = turned;
             writeln!(
                 out,
                 "the right camera has turned since it was calibrated: {rows_px:+.2} px across the baseline, {rim_px:+.2} px at \
-                 the rim; that is allowed for, calibrate again"
+                 the rim; {}; calibrate again",
+                if *in_doubt { "not all of that is allowed for" } else { "that is allowed for" }
             )?;
         }
         if !self.parts.is_empty() {
@@ -225,7 +227,7 @@ impl TurnedResult {
     fn new(turned: &Turned) -> Self {
         let [rows_px, rows_sigma_px, rim_px, rim_sigma_px] =
             rounded([turned.rows_px, turned.rows_sigma_px, turned.rim_px, turned.rim_sigma_px], 1e4);
-        let Turned { allowed_for, in_doubt, .. } = *turned;
+        let (allowed_for, in_doubt) = (turned.is_allowed_for(), turned.in_doubt);
         Self { rows_px, rows_sigma_px, rim_px, rim_sigma_px, allowed_for, in_doubt }
     }
 }

@@ -4,30 +4,49 @@ use serde_json::{Value, json};
 
 use crate::recognize::Turned;
 
-/// Of so many pairs with parts the mean is taken, the newer ones weighing more; before so many nothing is said.
+/// So many pairs with parts the mean is taken of, the newer ones weighing more; before so many nothing is said.
 const PAIRS: u32 = 20;
 /// A turn that is worth a new calibration, in pixels: about the baseline, and at the rim.
 const LIMIT_PX: [f64; 2] = [0.15, 0.3];
+/// What is said is so many standard deviations large.
+const CERTAIN_SIGMAS: f64 = 3.0;
 
 /// How far the right camera has turned since the rig was calibrated.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Calibration {
     pairs: u32,
-    mean_px: [f64; 2],
+    across: Mean,
+    rim: Mean,
     is_off: bool,
+}
+
+/// A mean of what weighs by its standard deviation and its age.
+#[derive(Clone, Copy, Debug, Default)]
+struct Mean {
+    px: f64,
+    weight: f64,
+}
+
+impl Mean {
+    fn add(&mut self, px: f64, sigma_px: f64) {
+        let weight = sigma_px.powi(-2);
+        self.weight = self.weight * (1.0 - 1.0 / f64::from(PAIRS)) + weight;
+        self.px += weight / self.weight * (px - self.px);
+    }
+
+    fn is_above(&self, limit_px: f64) -> bool {
+        self.px.abs() > limit_px.max(CERTAIN_SIGMAS / self.weight.sqrt())
+    }
 }
 
 impl Calibration {
     /// Takes what a pair tells; what is to be said, once it is certain.
     pub(super) fn pair(&mut self, turned: &Turned) -> Option<String> {
         self.pairs = self.pairs.saturating_add(1);
-        let share = 1.0 / f64::from(self.pairs.min(PAIRS));
-        for (mean_px, px) in self.mean_px.iter_mut().zip([turned.rows_px, turned.rim_px]) {
-            *mean_px += share * (px - *mean_px);
-        }
-        let limits = if self.is_off { LIMIT_PX.map(|px| 0.5 * px) } else { LIMIT_PX };
-        let is_off =
-            self.is_told() && self.mean_px.iter().zip(limits).any(|(mean_px, px)| mean_px.abs() > px);
+        self.across.add(turned.rows_px, turned.rows_sigma_px);
+        self.rim.add(turned.rim_px, turned.rim_sigma_px);
+        let [across_px, rim_px] = if self.is_off { LIMIT_PX.map(|px| 0.5 * px) } else { LIMIT_PX };
+        let is_off = self.is_told() && (self.across.is_above(across_px) || self.rim.is_above(rim_px));
         let news = is_off && !self.is_off;
         self.is_off = is_off;
         news.then(|| format!("{}; what is certain of it is allowed for; calibrate again", self.words()))
@@ -38,7 +57,7 @@ impl Calibration {
     }
 
     fn words(&self) -> String {
-        let [rows_px, rim_px] = self.mean_px;
+        let (rows_px, rim_px) = (self.across.px, self.rim.px);
         format!(
             "the right camera has turned since it was calibrated: {rows_px:+.2} px across the baseline, {rim_px:+.2} px at the rim"
         )
@@ -52,7 +71,7 @@ impl Calibration {
     /// For programs; `null` as long as there were too few pairs.
     pub(super) fn json(&self) -> Value {
         match self.is_told() {
-            true => json!({ "rows_px": self.mean_px[0], "rim_px": self.mean_px[1], "is_off": self.is_off }),
+            true => json!({ "rows_px": self.across.px, "rim_px": self.rim.px, "is_off": self.is_off }),
             false => Value::Null,
         }
     }
@@ -62,11 +81,15 @@ impl Calibration {
 mod tests {
     use super::*;
 
+    fn turned(rows_px: f64, rim_px: f64, sigma_px: f64) -> Turned {
+        Turned { rows_px, rows_sigma_px: sigma_px, rim_px, rim_sigma_px: sigma_px, ..Turned::default() }
+    }
+
     #[test]
     fn a_turned_camera_is_said_once_and_again_after_it_was_set_right() {
         let mut calibration = Calibration::default();
         let mut said = |rows_px: f64, pairs: u32| {
-            let turned = Turned { rows_px, rows_sigma_px: 0.05, ..Turned::default() };
+            let turned = turned(rows_px, 0.0, 0.05);
             (0..pairs).filter_map(|_| calibration.pair(&turned)).collect::<Vec<_>>()
         };
         assert!(said(0.1, 100).is_empty() && said(0.9, 1).is_empty(), "one pair is none");
@@ -80,9 +103,19 @@ mod tests {
     }
 
     #[test]
+    fn what_pairs_hardly_know_is_not_said() {
+        let mut calibration = Calibration::default();
+        for _ in 0..50 {
+            assert_eq!(calibration.pair(&turned(0.05, 2.0, 6.0)), None);
+        }
+        // One that knows outweighs them all.
+        assert!(calibration.pair(&turned(0.5, 0.0, 0.05)).is_some());
+    }
+
+    #[test]
     fn a_few_pairs_tell_nothing() {
         let mut calibration = Calibration::default();
-        let turned = Turned { rows_px: 2.0, ..Turned::default() };
+        let turned = turned(2.0, 0.0, 0.05);
         assert!((1..PAIRS).all(|_| calibration.pair(&turned).is_none()) && calibration.json().is_null());
         assert!(calibration.pair(&turned).is_some());
     }

@@ -133,7 +133,7 @@ impl Painter {
         let overlay = Overlay {
             frames: [left, right],
             graphs: self.pictures.each_ref().map(|picture| (picture.graph(), picture.halvings())),
-            rig: &self.rig,
+            rig: &file.recognition.rig(&self.rig),
             parts: &self.parts,
             found: &file.recognition.parts,
             base_from_left: self.base_from_left,

@@ -11,6 +11,30 @@ use super::equations::{Solution, Unknowns};
 
 /// What has been seen of a turn of the right camera about its optical centre: normal equations of the rotation vector,
 /// radians, along the left camera's axes.
+///
+/// ```
+/// use nalgebra::{Isometry3, Vector3};
+/// use pickcell::part::Part;
+/// use pickcell::pose::drawn::DrawnPair;
+/// use pickcell::pose::model::PoseModel;
+/// use pickcell::pose::refine::{Params, Refine, TurnSeen};
+///
+/// let rod = PoseModel::new(&Part::read(concat!(env!("CARGO_MANIFEST_DIR"), "/replay/parts/rod-90.toml"))?);
+/// // Since the calibration the right camera has turned about the baseline, by half a pixel at 600 pixels of focal length.
+/// let turn = Vector3::x() * (0.5 / 600.0);
+/// let mut seen = TurnSeen::default();
+/// for yaw in [0.4, 1.2, 2.2] {
+///     let truth = Isometry3::new(Vector3::new(5.0, -10.0, 470.0), Vector3::z() * yaw);
+///     let mut drawn = DrawnPair::new(&[(&rod, truth)]);
+///     drawn.rig = drawn.rig.with_right_turned(&-turn);
+///     let mut refine = Refine::new(Params { lift_radii: 0.0, ..Params::default() }, &drawn.rig);
+///     let fit = refine.fine(&rod, &truth, &drawn.views()).unwrap();
+///     seen += &refine.spread(&rod, &fit, &drawn.views()).turn;
+/// }
+/// let told = seen.normal.try_inverse().unwrap() * seen.right_side;
+/// assert!(((told - turn).x * 600.0).abs() < 0.1);
+/// # Ok::<(), pickcell::part::PartError>(())
+/// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TurnSeen {
     /// Inverse covariance of it, 1/radians².
