@@ -94,7 +94,7 @@ fn say(line: &str) -> io::Result<()> {
 
 fn run_set(args: &Accuracy, set: &SceneSet, folder: &Path) -> Result<Score, Box<dyn std::error::Error>> {
     let rig = Rig::read(&set.calibration)?;
-    let baseline = (rig.right_from_left.inverse().translation.vector).normalize();
+    let baseline = rig.right_eye().coords.normalize();
     // The pictures stay: it is the calibration that is of before.
     let rig = rig.with_right_turned(&(baseline * (-args.turned_px / rig.right.fy)));
     let paths: Vec<PathBuf> = set.parts.iter().map(|p| folder.join(format!("{p}.toml"))).collect();

@@ -188,11 +188,11 @@ impl Recognizer {
         self.look(pair, &mut stages)?;
         let nodes = |p: &Picture| p.graph().nodes.len();
         (out.nodes_left, out.nodes_right) = (nodes(&self.pictures[0]), nodes(&self.pictures[1]));
-        let watches =
-            &mut Watches { looking: budget.looks(LOOK_SHARE), exchanging: budget.exchanges(COMPETE_SHARE) };
-        let in_time = self.recognise_turned(pair, budget, seed, watches, &mut stages, out);
-        (out.spent.looks, out.spent.exchanges) =
-            (watches.looking.rang_after(), watches.exchanging.rang_after());
+        let (looking, exchanging) = (budget.looks(LOOK_SHARE), budget.exchanges(COMPETE_SHARE));
+        let mut job = Job { pair, budget, seed, looking, exchanging, stages };
+        let in_time = self.recognise_turned(&mut job, out);
+        let Job { looking, exchanging, mut stages, .. } = job;
+        (out.spent.looks, out.spent.exchanges) = (looking.rang_after(), exchanging.rang_after());
         out.out_of_time |= !in_time;
         let recognised = Timestamp::now();
         self.grasp(in_time, out);
@@ -212,23 +212,15 @@ impl Recognizer {
     }
 
     /// From graphs to parts, with the right camera turned as is allowed for; says whether there was time for all.
-    fn recognise(
-        &mut self,
-        pair: &FramePair,
-        budget: Budget,
-        seed: u64,
-        watches: &mut Watches,
-        stages: &mut StageTimes,
-        out: &mut Recognition,
-    ) -> bool {
+    fn recognise(&mut self, job: &mut Job, out: &mut Recognition) -> bool {
         let begin = Timestamp::now();
+        let Job { pair, budget, seed, looking, exchanging, stages } = job;
         out.parts.clear();
-        self.search(budget.less(out.spent.iterations).share(SEARCH_SHARE), seed, out);
+        self.search(budget.less(out.spent.iterations).share(SEARCH_SHARE), *seed, out);
         let matched = Timestamp::now();
         self.judge_gloss(pair);
         self.explanations.clear(self.pictures.each_ref().map(Picture::nodes));
-        let Watches { looking, exchanging } = watches;
-        looking.set_again(budget, LOOK_SHARE);
+        looking.set_again(*budget, LOOK_SHARE);
         let mut all_looked_at = self.explain(pair, false, looking);
         if all_looked_at && !looking.is_over() && self.search_ends(looking) {
             all_looked_at = self.explain(pair, true, looking);
@@ -237,7 +229,7 @@ impl Recognizer {
             all_looked_at = self.explain(pair, true, looking);
         }
         all_looked_at &= !looking.is_over();
-        exchanging.set_again(budget, COMPETE_SHARE);
+        exchanging.set_again(*budget, COMPETE_SHARE);
         let in_time = self.compete(pair, exchanging, out) && all_looked_at;
         stages.match_ns += matched.since(begin).max(0) as u64;
         stages.pose_ns += Timestamp::now().since(matched).max(0) as u64;
@@ -432,10 +424,16 @@ impl Recognizer {
     }
 }
 
-/// What tells when the time for looking and for the competition is over, and how often it was asked over all goes at a pair.
-struct Watches {
+/// A pair whose graphs are there, over all goes at it.
+struct Job<'a> {
+    pair: &'a FramePair,
+    budget: Budget,
+    seed: u64,
+    /// Whether time for looking is over.
     looking: Watch,
+    /// Whether time for the competition is over.
     exchanging: Watch,
+    stages: StageTimes,
 }
 
 /// How far away parts can be seen at all: not nearer than half the baseline, where no lens shows both cameras the same, and

@@ -188,6 +188,17 @@ impl StageTimes {
     }
 }
 
+impl std::fmt::Display for Turned {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        let Self { rows_px, rim_px, .. } = self;
+        write!(
+            f,
+            "the right camera has turned since it was calibrated: {rows_px:+.2} px across the baseline, "
+        )?;
+        write!(f, "{rim_px:+.2} px at the rim")
+    }
+}
+
 impl Turned {
     /// Whether the poses allow for anything.
     pub fn is_allowed_for(&self) -> bool {

@@ -159,7 +159,7 @@ fn parts_may_be_of_any_size() {
 #[test]
 fn a_right_camera_that_has_turned_is_told_and_allowed_for() {
     let (session, rig) = conveyor();
-    let baseline = rig.right_from_left.inverse().translation.vector.normalize();
+    let baseline = rig.right_eye().coords.normalize();
     let sight = rig.right_from_left.rotation.inverse() * Vector3::z();
     let sight = (sight - baseline * baseline.dot(&sight)).normalize();
     // The pictures are what they are: it is the calibration that is turned, the other way.

@@ -6,12 +6,10 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::result::{Recognition, StageTimes, Turned};
-use super::{Recognizer, Scale, Watches};
-use crate::frame::FramePair;
+use super::result::{Recognition, Turned};
+use super::{Job, Recognizer, Scale};
 use crate::pose::refine::TurnSeen;
 use crate::rig::Rig;
-use crate::time::Budget;
 
 /// How often a pair is recognised anew because the right camera is seen to have turned, or turned further.
 const TURNS_MAX: usize = 4;
@@ -28,31 +26,23 @@ const TURN_SIGMA: f64 = 0.02;
 impl Recognizer {
     /// From graphs to parts, with the right camera as calibrated, and anew as it stands where the parts tell that for
     /// certain, until nothing is left of it; says whether there was time for all.
-    pub(super) fn recognise_turned(
-        &mut self,
-        pair: &FramePair,
-        budget: Budget,
-        seed: u64,
-        watches: &mut Watches,
-        stages: &mut StageTimes,
-        out: &mut Recognition,
-    ) -> bool {
-        let mut with = |this: &mut Self, turn: Vector3<f64>, out: &mut Recognition| {
+    pub(super) fn recognise_turned(&mut self, job: &mut Job, out: &mut Recognition) -> bool {
+        let mut go = |this: &mut Self, turn: Vector3<f64>, out: &mut Recognition| {
             this.turn_right(turn);
-            this.recognise(pair, budget, seed, watches, stages, out)
+            let in_time = this.recognise(job, out);
+            (in_time, this.judge_turn(out).filter(|_| in_time && !out.out_of_time))
         };
-        let mut in_time = with(self, Vector3::zeros(), out);
+        let (mut in_time, mut more) = go(self, Vector3::zeros(), out);
         for _ in 0..TURNS_MAX {
-            let Some(more) = self.judge_turn(out).filter(|_| in_time && !out.out_of_time) else { break };
+            let Some(turn) = more else { break };
             let (before, parts) = (self.turn, out.parts.len());
-            in_time = with(self, before + more, out);
+            (in_time, more) = go(self, before + turn, out);
             // What explains the pictures worse is not how the camera stands; one of many parts may have been none.
             if in_time && !out.out_of_time && 10 * out.parts.len() < 9 * parts {
-                in_time = with(self, before, out);
+                (in_time, _) = go(self, before, out);
                 break;
             }
         }
-        self.judge_turn(out);
         in_time
     }
 
@@ -98,8 +88,7 @@ struct Axes {
 
 impl Axes {
     fn of(rig: &Rig) -> Option<Self> {
-        let eye = rig.right_from_left.inverse().translation.vector;
-        let baseline = eye.try_normalize(1e-9)?;
+        let baseline = rig.right_eye().coords.try_normalize(1e-9)?;
         let sight = rig.right_from_left.rotation.inverse() * Vector3::z();
         let sight = (sight - baseline * baseline.dot(&sight)).try_normalize(1e-9)?;
         let camera = &rig.right;

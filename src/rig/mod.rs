@@ -97,12 +97,16 @@ impl Rig {
         self.right_from_left.translation.vector.norm()
     }
 
+    /// The right camera's optical centre, mm, in the left camera's frame.
+    pub fn right_eye(&self) -> Point3<f64> {
+        self.right_from_left.inverse() * Point3::origin()
+    }
+
     /// The rig whose right camera has turned about its optical centre by this rotation vector, radians, along the left
     /// camera's axes.
     pub fn with_right_turned(&self, turn: &Vector3<f64>) -> Self {
-        let right_eye = self.right_from_left.inverse() * Point3::origin();
         let rotation = self.right_from_left.rotation * UnitQuaternion::new(-turn);
-        let translation = -(rotation * right_eye.coords);
+        let translation = -(rotation * self.right_eye().coords);
         Self { right_from_left: Isometry3::from_parts(translation.into(), rotation), ..*self }
     }
 

@@ -57,10 +57,7 @@ impl Calibration {
     }
 
     fn words(&self) -> String {
-        let (rows_px, rim_px) = (self.across.px, self.rim.px);
-        format!(
-            "the right camera has turned since it was calibrated: {rows_px:+.2} px across the baseline, {rim_px:+.2} px at the rim"
-        )
+        Turned { rows_px: self.across.px, rim_px: self.rim.px, ..Turned::default() }.to_string()
     }
 
     /// For the table, where it is off.

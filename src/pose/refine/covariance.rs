@@ -4,8 +4,8 @@
 //! Sections a thickness apart err independently of each other (the autocorrelation of their residuals is nought), so
 //! the covariance of the fit holds for that; where there are more sections, each counts for as much less. The rest are a
 //! few ways in which all sections of a piece of wire err together, each with one unknown amplitude: what such a way does
-//! to the pose is what the fit makes of errors of just that form, and its square is added. All amplitudes are in radii of the wire, for they come from where the border of
-//! the lit region lies on its round surface.
+//! to the pose is what the fit makes of errors of just that form, and its square is added. All amplitudes are in radii of
+//! the wire, for they come from where the border of the lit region lies on its round surface.
 
 use nalgebra::{Matrix3, Matrix6, Point3, SMatrix, Vector3};
 

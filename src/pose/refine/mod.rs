@@ -112,7 +112,6 @@ pub struct Refine {
 impl Refine {
     /// For this rig; reserves all memory.
     pub fn new(params: Params, rig: &Rig) -> Self {
-        let right_eye = rig.right_from_left.inverse() * Point3::origin();
         let level = Level::detect();
         Self {
             params,
@@ -123,7 +122,7 @@ impl Refine {
             origins: Vec::with_capacity(MEASUREMENTS_MAX),
             observations: Vec::with_capacity(MEASUREMENTS_MAX),
             ratios: Vec::with_capacity(STATIONS_MAX),
-            eye: nalgebra::center(&Point3::origin(), &right_eye),
+            eye: nalgebra::center(&Point3::origin(), &rig.right_eye()),
         }
     }
 
