@@ -20,7 +20,9 @@
 //! let all = [placed(&below), placed(&above)];
 //!
 //! let params = Params::default();
-//! let why = [0, 1].map(|i| blocked(&params, &all, i, &grasp_of(&params, &all[i])));
+//! let grasps = all.map(|placed| grasp_of(&params, &placed));
+//! let mut why = [None; 2];
+//! blocked(&params, &all, &grasps, &mut why);
 //! assert_eq!(why, [Some(Blocked::Covered), None]);
 //! # Ok::<(), pickcell::part::PartError>(())
 //! ```
@@ -135,6 +137,9 @@ pub struct Placed<'a> {
 /// How far apart the axes of two wires must be in height, in sums of their radii, for one to lie on the other rather
 /// than beside it. Where they cross it is 1 or more, less the error of two depths.
 const OVER_MIN: f64 = 0.5;
+/// How far apart the axes of two wires of about the same height are beside each other at least, in sums of their radii.
+/// Where they lie along each other it is 1, less the error of two places.
+const BESIDE_MIN: f64 = 0.6;
 
 /// Direction straight down in the left camera's frame.
 pub fn down_in_left(params: &Params) -> Vector3<f64> {
@@ -174,10 +179,41 @@ pub fn grasp_of(params: &Params, placed: &Placed) -> Grasp {
     }
 }
 
-/// Why the part `index` of `all` cannot be taken with `grasp`; `None` where it can.
-pub fn blocked(params: &Params, all: &[Placed], index: usize, grasp: &Grasp) -> Option<Blocked> {
+/// Why parts cannot be taken, each with its grasp; `None` for those that can.
+///
+/// # Panics
+/// Where `why` has not a place for every part.
+pub fn blocked<'a>(
+    params: &Params,
+    all: &[Placed],
+    grasps: impl IntoIterator<Item = &'a Grasp>,
+    why: &mut [Option<Blocked>],
+) {
+    why[..all.len()].fill(None);
+    for (k, first) in all.iter().enumerate() {
+        for (other, second) in all[..k].iter().enumerate() {
+            let crossing = crossing(params, first, second);
+            for (lower, upper_is_sure) in [(other, crossing.first_over), (k, crossing.second_over)] {
+                if upper_is_sure {
+                    why[lower] = Some(Blocked::Covered);
+                } else if crossing.is_unclear() {
+                    why[lower].get_or_insert(Blocked::Uncertain);
+                }
+            }
+        }
+    }
+    for (index, (grasp, why)) in grasps.into_iter().zip(why).enumerate() {
+        let others = || all.iter().enumerate().filter(|(k, _)| *k != index).map(|(_, p)| p);
+        *why = out_of_reach(params, &all[index], grasp)
+            .or(*why)
+            .or_else(|| (!fingers_fit(params, others(), grasp)).then_some(Blocked::NoRoom));
+    }
+}
+
+/// Why a part cannot be taken, were it alone in the bin.
+fn out_of_reach(params: &Params, placed: &Placed, grasp: &Grasp) -> Option<Blocked> {
     let gripper = &params.gripper;
-    if all[index].sigma_mm > params.sigma_mm_max {
+    if placed.sigma_mm > params.sigma_mm_max {
         return Some(Blocked::Uncertain);
     }
     if grasp.opening_mm > gripper.opening_max_mm {
@@ -202,16 +238,9 @@ pub fn blocked(params: &Params, all: &[Placed], index: usize, grasp: &Grasp) -> 
     if params.axes != ArmAxes::Pose && grasp.tilt_rad > params.tilt_tolerance_rad {
         return Some(Blocked::ArmCannotTilt);
     }
-    if params.axes == ArmAxes::Xyz
-        && yaw_off_rad(grasp, gripper.closing_yaw_deg.to_radians()) > params.yaw_tolerance_rad
-    {
-        return Some(Blocked::ArmCannotTurn);
-    }
-    if all.iter().enumerate().any(|(k, other)| k != index && lies_over(params, other, &all[index])) {
-        return Some(Blocked::Covered);
-    }
-    let others = all.iter().enumerate().filter(|(k, _)| *k != index).map(|(_, p)| p);
-    (!fingers_fit(params, others, grasp)).then_some(Blocked::NoRoom)
+    let yaw_off_rad = || yaw_off_rad(grasp, gripper.closing_yaw_deg.to_radians());
+    (params.axes == ArmAxes::Xyz && yaw_off_rad() > params.yaw_tolerance_rad)
+        .then_some(Blocked::ArmCannotTurn)
 }
 
 /// Angle between the closing direction and a fixed gripper's, in the horizontal plane; the fingers are alike.
@@ -221,35 +250,87 @@ fn yaw_off_rad(grasp: &Grasp, closing_yaw_rad: f64) -> f64 {
     off.min(std::f64::consts::PI - off)
 }
 
-/// Whether `upper` crosses over `lower`, seen straight from above.
-pub fn lies_over(params: &Params, upper: &Placed, lower: &Placed) -> bool {
-    let down = down_in_left(params);
-    let reach = upper.model.radius_mm + lower.model.radius_mm;
-    // In the lower part's frame its stations stand as they are.
-    let lower_from_upper = lower.left_from_part.inverse() * upper.left_from_part;
-    let down = lower.left_from_part.rotation.inverse() * down;
-    let beside = |apart: &Vector3<f64>| (apart - down * down.dot(apart)).norm_squared();
-    let far = (upper.model.length_mm + lower.model.length_mm) / 2.0 + reach;
-    let centre = lower.model.centre_mm;
-    if beside(&(lower_from_upper * upper.model.centre_mm - centre)) > far * far {
-        return false;
+/// What is seen straight from above where the wires of two parts cross.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Crossing {
+    /// Somewhere the first part lies over the second.
+    pub first_over: bool,
+    /// Somewhere the second lies over the first.
+    pub second_over: bool,
+    /// Somewhere they cross at about the same height. Wires do not go through each other: one of the poses is not right.
+    pub through: bool,
+}
+
+impl Crossing {
+    /// Whether they cross, and nothing tells which lies on top.
+    pub fn is_unclear(&self) -> bool {
+        self.through && !self.first_over && !self.second_over
     }
-    let [above, below] = [upper, lower].map(|p| &p.model.stations);
-    upper.model.clusters.iter().any(|high| {
-        let centre = lower_from_upper * high.centre_mm;
-        lower.model.clusters.iter().any(|low| {
-            let near = high.reach_mm + low.reach_mm + reach;
-            beside(&(centre - low.centre_mm)) < near * near
-                && above[high.stations.clone()].iter().any(|u| {
-                    let at = lower_from_upper * u.position_mm;
-                    below[low.stations.clone()].iter().any(|l| {
-                        let apart = at - l.position_mm;
-                        // Stations lie nearer to each other than a thickness: no crossing falls between them.
-                        -down.dot(&apart) > OVER_MIN * reach && beside(&apart) < reach * reach
-                    })
-                })
-        })
-    })
+}
+
+/// How two parts cross.
+pub fn crossing(params: &Params, first: &Placed, second: &Placed) -> Crossing {
+    let mut seen = Crossing::default();
+    let down = down_in_left(params);
+    let reach = first.model.radius_mm + second.model.radius_mm;
+    let is_near = |apart: &Vector3<f64>, down: &Vector3<f64>, mm: f64| {
+        apart.norm_squared() - down.dot(apart).powi(2) < mm * mm
+    };
+    let [a, b] = [first, second].map(|p| p.left_from_part * p.model.centre_mm);
+    if !is_near(&(a - b), &down, (first.model.length_mm + second.model.length_mm) / 2.0 + reach) {
+        return seen;
+    }
+    // In the second part's frame its stations stand as they are.
+    let from_first = second.left_from_part.inverse() * first.left_from_part;
+    let (turn, shift) = (from_first.rotation.to_rotation_matrix(), from_first.translation);
+    let down = second.left_from_part.rotation.inverse() * down;
+    let is_near = |apart: &Vector3<f64>, mm: f64| is_near(apart, &down, mm);
+    for many in &first.model.clusters {
+        let centre = shift * (turn * many.centre_mm);
+        for others in &second.model.clusters {
+            if !is_near(&(centre - others.centre_mm), many.reach_mm + others.reach_mm + reach) {
+                continue;
+            }
+            for a in &first.model.stations[many.stations.clone()] {
+                let at = shift * (turn * a.position_mm);
+                for b in &second.model.stations[others.stations.clone()] {
+                    let apart = at - b.position_mm;
+                    if !is_near(&apart, (a.length_mm + b.length_mm) / 2.0 + reach) {
+                        continue;
+                    }
+                    let half = |tangent: Vector3<f64>, length_mm: f64| tangent * (length_mm / 2.0);
+                    let halves = [half(turn * a.tangent, a.length_mm), half(b.tangent, b.length_mm)];
+                    let apart = nearest_from_above(&apart, &halves, &down);
+                    if is_near(&apart, reach) {
+                        let above_mm = -down.dot(&apart);
+                        seen.first_over |= above_mm > OVER_MIN * reach;
+                        seen.second_over |= above_mm < -OVER_MIN * reach;
+                        seen.through |=
+                            above_mm.abs() <= OVER_MIN * reach && is_near(&apart, BESIDE_MIN * reach);
+                    }
+                }
+            }
+        }
+    }
+    seen
+}
+
+/// From the second of two straight pieces to the first, where they are nearest to each other seen along `down`. Their
+/// middles are `apart`, and each reaches from its middle by its vector, and as far the other way.
+fn nearest_from_above(
+    apart: &Vector3<f64>,
+    [first, second]: &[Vector3<f64>; 2],
+    down: &Vector3<f64>,
+) -> Vector3<f64> {
+    let [a, u, v] = [apart, first, second].map(|vector| vector - down * down.dot(vector));
+    // What stands upright is a point, seen from above.
+    let [uu, vv] = [&u, &v].map(|piece| piece.norm_squared().max(1e-12));
+    let uv = u.dot(&v);
+    let across = uu * vv - uv * uv;
+    let to = if across > 1e-9 * uu * vv { (uv * v.dot(&a) - vv * u.dot(&a)) / across } else { 0.0 };
+    let of_second = ((uv * to.clamp(-1.0, 1.0) + v.dot(&a)) / vv).clamp(-1.0, 1.0);
+    let of_first = ((uv * of_second - u.dot(&a)) / uu).clamp(-1.0, 1.0);
+    apart + first * of_first - second * of_second
 }
 
 /// How far from the tool point the open fingers reach, in mm, across the approach.
@@ -276,4 +357,91 @@ fn fingers_fit<'a>(params: &Params, mut others: impl Iterator<Item = &'a Placed<
                 && at.z < gripper.finger_depth_mm + radius
         })
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// Two rods, 90 mm long and 3 mm thick, level: one along x at the origin, the other turned by `yaw`, its middle at
+    /// this place.
+    fn of_two(yaw: f64, middle_mm: [f64; 3]) -> (Crossing, [Option<Blocked>; 2]) {
+        let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts/rod-90.toml");
+        let part = Part::read(file).unwrap();
+        let model = PoseModel::new(&part);
+        let rod = |yaw: f64, middle_mm: [f64; 3]| {
+            let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), yaw) * turned_to_x(&model);
+            let middle = Point3::from(middle_mm) - turn * model.centre_mm.coords;
+            Isometry3::from_parts(middle.coords.into(), turn.into())
+        };
+        let poses = [rod(0.0, [0.0, 0.0, 500.0]), rod(yaw, middle_mm)];
+        let placed = poses.each_ref().map(|left_from_part| Placed {
+            part: &part,
+            model: &model,
+            left_from_part,
+            sigma_mm: 0.1,
+        });
+        let params = Params::default();
+        let mut why = [None; 2];
+        blocked(&params, &placed, &placed.map(|p| grasp_of(&params, &p)), &mut why);
+        (crossing(&params, &placed[0], &placed[1]), why)
+    }
+
+    fn turned_to_x(model: &PoseModel) -> Rotation3<f64> {
+        Rotation3::rotation_between(&model.straight_along.unwrap(), &Vector3::x()).unwrap()
+    }
+
+    const UPRIGHT: f64 = std::f64::consts::FRAC_PI_2;
+
+    #[test]
+    fn a_part_whose_end_juts_out_over_another_covers_it() {
+        // How far its end stands off the other's axis; over the edge is 3 mm, to the sum of the radii.
+        let jutting = |off_mm: f64, x_mm: f64| of_two(UPRIGHT, [x_mm, 45.0 + off_mm, 497.0]);
+        for tenth in 0..60 {
+            let x_mm = 0.1 * f64::from(tenth) - 44.0;
+            let (crossing, why) = jutting(2.9, x_mm);
+            assert_eq!(crossing, Crossing { second_over: true, ..Crossing::default() }, "{x_mm}");
+            assert_eq!(why, [Some(Blocked::Covered), None]);
+            assert_eq!(jutting(3.1, x_mm).0, Crossing::default(), "{x_mm}");
+        }
+    }
+
+    #[test]
+    fn the_one_on_top_is_offered_and_neither_is_where_they_go_through_each_other() {
+        // They cross far from where either is gripped.
+        let over = |by_mm: f64| of_two(UPRIGHT, [30.0, 30.0, 500.0 - by_mm]).1;
+        assert_eq!(over(3.0), [Some(Blocked::Covered), None]);
+        assert_eq!(over(-3.0), [None, Some(Blocked::Covered)]);
+        for by_mm in [-1.4, -0.1, 0.0, 0.1, 1.4] {
+            assert_eq!(over(by_mm), [Some(Blocked::Uncertain); 2], "{by_mm}");
+        }
+    }
+
+    #[test]
+    fn wires_side_by_side_are_in_the_way_of_fingers_and_not_on_each_other() {
+        for beside_mm in [2.7, 3.0, 3.3] {
+            let (crossing, why) = of_two(0.0, [30.0, beside_mm, 500.0]);
+            assert_eq!(crossing, Crossing::default(), "{beside_mm}");
+            assert_eq!(why, [Some(Blocked::NoRoom); 2], "{beside_mm}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn no_places_of_two_pieces_are_nearer_than_those_found(
+            numbers: [i8; 9], shares in proptest::array::uniform2(-1.0..1.0),
+        ) {
+            let vector = |k: usize| Vector3::from_fn(|i, _| f64::from(numbers[k + i]) / 16.0);
+            let (apart, [u, v]) = (vector(0), [vector(3), vector(6)]);
+            let beside = |between: Vector3<f64>| between.xy().norm();
+            let nearest = beside(nearest_from_above(&apart, &[u, v], &Vector3::z()));
+            let [s, t] = shares;
+            let ends = [-1.0, 1.0].into_iter().flat_map(|s| [-1.0, 1.0].map(|t| [s, t]));
+            for [s, t] in ends.chain([[s, t], [s, 1.0], [-1.0, t]]) {
+                prop_assert!(nearest <= beside(apart + u * s - v * t) + 1e-9);
+            }
+        }
+    }
 }

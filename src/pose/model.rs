@@ -32,7 +32,7 @@ pub struct Station {
     pub share: f64,
 }
 
-/// Up to eight stations in a row, and the ball around them: what is far from the ball is far from all of them.
+/// Up to eight stations in a row, and the ball around their wire's axis: what is far from the ball is far from all of them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cluster {
     /// Which.
@@ -151,7 +151,8 @@ fn clusters_of(stations: &[Station]) -> Vec<Cluster> {
         next += stations.len();
         let sum = stations.iter().map(|s| s.position_mm.coords).sum::<Vector3<f64>>();
         let centre_mm = Point3::from(sum / stations.len() as f64);
-        let reach_mm = stations.iter().map(|s| (s.position_mm - centre_mm).norm()).fold(0.0, f64::max);
+        let reach = |s: &Station| (s.position_mm - centre_mm).norm() + s.length_mm / 2.0;
+        let reach_mm = stations.iter().map(reach).fold(0.0, f64::max);
         Cluster { stations: first..next, centre_mm, reach_mm }
     };
     edges.flat_map(|edge| edge.chunks(CLUSTER)).map(cluster).collect()

@@ -50,9 +50,8 @@ impl Recognizer {
         let rig = rig_of(scales, pictures);
         let placed: ArrayVec<Placed, PARTS_MAX> =
             out.parts.iter().map(|f| parts[f.part].placed(&f.left_from_part, f.sigma_mm.max())).collect();
-        let blocked: ArrayVec<Option<Blocked>, PARTS_MAX> = (0..placed.len())
-            .map(|i| grasp::blocked(&params.grasp, &placed, i, &out.parts[i].grasp))
-            .collect();
+        let mut blocked = [None; PARTS_MAX];
+        grasp::blocked(&params.grasp, &placed, out.parts.iter().map(|f| &f.grasp), &mut blocked);
         drop(placed);
         let turned = out.turned.is_some_and(|turned| turned.in_doubt).then_some(Blocked::Turned);
         unknown.find(pictures, explanations.claims());
