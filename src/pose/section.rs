@@ -37,6 +37,15 @@ impl Section {
     }
 }
 
+/// The light of a wire between the borders of its outline.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LightAcross {
+    /// How much lighter (dark parts: darker) it is in the mean than at the borders, in grey levels.
+    pub above: f64,
+    /// How far it lies beside the middle, in half widths of the wire; nought where the lamp is above it.
+    pub skew: f64,
+}
+
 /// Grey levels between wire and background from which an outline is believed.
 pub const CONTRAST_MIN: f64 = 12.0;
 
@@ -134,16 +143,15 @@ impl<'a> Profiler<'a> {
         Some(Section { low_px, high_px })
     }
 
-    /// How far the light of a wire lies beside the middle of its outline, in half widths, along the unit vector `across`,
-    /// nought where the lamp is above it; from where that middle is, in pixels from `origin`, and how wide the outline is.
-    /// `None` where it leaves the picture, or shows no light.
-    pub fn skew(
+    /// The light between the borders of a wire's outline, along the unit vector `across`; from where the middle between them
+    /// is, in pixels from `origin`, and how far they are apart. `None` where it leaves the picture, or shows no light.
+    pub fn light(
         &self,
         origin: Vector2<f64>,
         across: Vector2<f64>,
         half_width_px: f64,
         (middle, width): (f64, f64),
-    ) -> Option<f64> {
+    ) -> Option<LightAcross> {
         let reach = across * (width / 2.0);
         let middle = origin + across * middle;
         if !self.inside(middle - reach) || !self.inside(middle + reach) {
@@ -161,7 +169,10 @@ impl<'a> Profiler<'a> {
             sum += above;
             moment += above * share;
         }
-        (sum > 0.0).then(|| moment / sum * width / (2.0 * half_width_px))
+        (sum > 0.0).then(|| LightAcross {
+            above: sum / (SKEW_STEPS - 1) as f64,
+            skew: moment / sum * width / (2.0 * half_width_px),
+        })
     }
 
     /// By how many grey levels the light along a wire, the unit vector `along`, falls within `near_px` of a place, below

@@ -1,4 +1,5 @@
-//! Where the lamp stands, as light on wire tells, and how far that displaces what is seen of a part.
+//! How light lies on wire: where the lamp stands, how far that displaces what is seen of a part, and how much a part
+//! stands out.
 //!
 //! A lamp at one side lights round wire farther on that side: the middle between both borders of the lit region lies beside
 //! the axis, so many radii towards the lamp. In one bin that is the same for all parts. Light within those borders lies still
@@ -9,6 +10,7 @@ use nalgebra::{Matrix2, Vector2, Vector3};
 
 use crate::pose::model::PoseModel;
 use crate::pose::refine::View;
+use crate::pose::section::LightAcross;
 use crate::pose::verify::{PieceSight, Sight, Verdict};
 
 /// Stations this many thicknesses apart are looked at.
@@ -22,31 +24,38 @@ const ABOVE_PARTS: f64 = 0.3;
 /// other, and the middle lies 0.15 radii beside the axis.
 const LAMP_RADII_MAX: f64 = 0.25;
 
-/// How light lies on the wire of one part: the equations of where it lies, in half widths along x and y of the left camera.
+/// How light lies on the wire of one part.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Light {
+    /// The equations of where it lies, in half widths along x and y of the left camera.
     normal: Matrix2<f64>,
     right_side: Vector2<f64>,
+    /// By how many grey levels it stands out, in the mean; `None` where nothing of it is seen clearly.
+    pub(super) above: Option<f64>,
 }
 
 impl Light {
     /// On a part that pictures have this verdict on.
     pub(super) fn on(model: &PoseModel, verdict: &Verdict, views: &[View; 2]) -> Self {
-        let (mut light, mut count) = (Self::default(), 0.0);
+        let (mut light, mut sum, mut count) = (Self::default(), 0.0, 0.0);
         for piece in verdict.pieces.iter().step_by(SKEW_THICKNESSES * model.per_thickness) {
             for (seen, view) in piece.iter().zip(views).filter(|(seen, _)| seen.sight == Sight::Clear) {
                 let PieceSight { expected_px, across, half_width_px, .. } = *seen;
-                let skew =
-                    seen.seen_px.and_then(|px| view.profiler.skew(expected_px, across, half_width_px, px));
-                let Some(skew) = skew else { continue };
+                let seen =
+                    seen.seen_px.and_then(|px| view.profiler.light(expected_px, across, half_width_px, px));
+                let Some(LightAcross { above, skew }) = seen else { continue };
                 let across = view.rotation.tr_mul(&across.push(0.0)).xy();
                 light.normal += across * across.transpose();
                 light.right_side += across * skew;
+                sum += above;
                 count += 1.0;
             }
         }
-        let count = f64::max(count, 1.0);
-        Self { normal: light.normal / count, right_side: light.right_side / count }
+        if count > 0.0 {
+            (light.normal, light.right_side) = (light.normal / count, light.right_side / count);
+            light.above = Some(sum / count);
+        }
+        light
     }
 
     /// How far a lamp displaces the part, in radii, where it displaces wire by `lamp_radii` across: what fits all its wire best,
@@ -59,10 +68,12 @@ impl Light {
 
 /// How far the lamp displaces what is seen of wire, in radii along x and y of the left camera, `per_skew` for each half width
 /// that the light lies beside.
-pub(super) fn lamp_radii(lights: &[Light], per_skew: f64) -> Vector2<f64> {
-    let normal =
-        lights.iter().map(|light| light.normal).sum::<Matrix2<f64>>() + Matrix2::identity() * ABOVE_PARTS;
-    let right_side = lights.iter().map(|light| light.right_side).sum::<Vector2<f64>>();
+pub(super) fn lamp_radii<'a>(lights: impl Iterator<Item = &'a Light>, per_skew: f64) -> Vector2<f64> {
+    let (mut normal, mut right_side) = (Matrix2::identity() * ABOVE_PARTS, Vector2::zeros());
+    for light in lights {
+        normal += light.normal;
+        right_side += light.right_side;
+    }
     let lamp = normal.try_inverse().map_or(Vector2::zeros(), |inverse| inverse * right_side) * per_skew;
     lamp.cap_magnitude(LAMP_RADII_MAX)
 }
@@ -74,7 +85,7 @@ mod tests {
     /// Straight wire in this direction, displaced so much across.
     fn straight(angle: f64, across_radii: f64) -> Light {
         let across = Vector2::new(-angle.sin(), angle.cos());
-        Light { normal: across * across.transpose(), right_side: across * across_radii }
+        Light { normal: across * across.transpose(), right_side: across * across_radii, above: None }
     }
 
     #[test]
@@ -86,14 +97,14 @@ mod tests {
                 straight(angle, lamp.dot(&Vector2::new(-angle.sin(), angle.cos())))
             })
             .collect();
-        let found = lamp_radii(&lights, 1.0);
+        let found = lamp_radii(lights.iter(), 1.0);
         assert!((found - lamp).norm() < 0.01, "{found}");
-        assert!((lamp_radii(&lights, 1.2) - found * 1.2).norm() < 1e-9);
-        assert_eq!(lamp_radii(&[], 1.0), Vector2::zeros());
-        assert!((lamp_radii(&lights, 99.0).norm() - LAMP_RADII_MAX).abs() < 1e-9);
+        assert!((lamp_radii(lights.iter(), 1.2) - found * 1.2).norm() < 1e-9);
+        assert_eq!(lamp_radii([].iter(), 1.0), Vector2::zeros());
+        assert!((lamp_radii(lights.iter(), 99.0).norm() - LAMP_RADII_MAX).abs() < 1e-9);
         // One alone is not believed altogether, and displaced across only.
         let one = straight(0.0, 0.1);
-        let found = lamp_radii(&[one], 1.0);
+        let found = lamp_radii([one].iter(), 1.0);
         assert!(found.x == 0.0 && (0.06..0.09).contains(&found.y), "{found}");
         let displaced = one.displaced(&lamp);
         assert!(displaced.x.abs() < 1e-9 && (displaced.y - lamp.y).abs() < 0.002, "{displaced}");

@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 
 use super::explanations::Explanation;
 use super::found::found;
-use super::lamp::{Light, lamp_radii};
+use super::lamp::lamp_radii;
 use super::result::{FoundPart, NoPick, PARTS_MAX, Recognition};
 use super::unknown::Taken;
 use super::views::views;
@@ -28,13 +28,11 @@ impl Recognizer {
         let in_time = explanations.decide(parts, &params.select, &views, exchanging, PARTS_MAX);
         explanations.press_apart(parts, &grasp::down_in_left(&params.grasp), &views);
         let prepared = |e: &Explanation| &parts[e.hypothesis.part];
-        let lights = explanations.standing().map(|e| Light::on(&prepared(e).pose_model, &e.verdict, &views));
-        let lights: ArrayVec<Light, PARTS_MAX> = lights.collect();
-        let lamp_radii = lamp_radii(&lights, explanations.shading().across_per_skew);
+        let lights = explanations.standing().map(|e| &e.light);
+        let lamp_radii = lamp_radii(lights, explanations.shading().across_per_skew);
         let beside = explanations
             .standing()
-            .zip(&lights)
-            .map(|(e, light)| light.displaced(&lamp_radii) * -prepared(e).pose_model.radius_mm);
+            .map(|e| e.light.displaced(&lamp_radii) * -prepared(e).pose_model.radius_mm);
         let beside_mm: ArrayVec<Vector3<f64>, PARTS_MAX> = beside.collect();
         explanations.displace(beside_mm.iter());
         let standing = explanations.standing().zip(&beside_mm);

@@ -244,7 +244,7 @@ mod tests {
     #[test]
     fn what_the_masks_show_where_a_finger_comes_down_is_in_the_way_if_nobody_has_it() {
         let (mut beset, mut met) = (0, 0);
-        for pair in [0, 1, 3, 5, 7] {
+        for pair in 0..20 {
             let [all_claimed, nothing_claimed] = of_pair(pair);
             for (known, unknown) in all_claimed.iter().zip(&nothing_claimed) {
                 assert!(!known.met_by_mask, "pair {pair}: {known:?}");

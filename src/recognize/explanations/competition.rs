@@ -11,6 +11,7 @@ use crate::pose::over;
 use crate::pose::refine::View;
 use crate::pose::slide;
 use crate::pose::verify::verify;
+use crate::recognize::lamp::Light;
 use crate::recognize::prepared::Prepared;
 use crate::time::Watch;
 
@@ -20,6 +21,8 @@ const EXCHANGES_MAX: usize = 8;
 /// explain the wire, that with fewer parts is likelier.
 const EXCHANGE_MM: f64 = 1.0;
 const PART_MM: f64 = 10.0;
+/// Wire that stands out from the background by less than this share of what all proven parts do is of something else.
+const DIM_SHARE: f64 = 0.5;
 /// What is worth this share of its wire is nearly whole.
 const NEARLY_WHOLE: f64 = 0.98;
 
@@ -51,8 +54,8 @@ impl Explanations {
         }
     }
 
-    /// Decides which stand, at most so many, and where those lie that nothing holds along themselves; says whether there was
-    /// time to weigh them all.
+    /// Decides which stand, at most so many, where those lie that nothing holds along themselves, and how the light lies on
+    /// them; says whether there was time to weigh them all.
     pub(in crate::recognize) fn decide(
         &mut self,
         parts: &[Prepared],
@@ -66,7 +69,30 @@ impl Explanations {
         for k in 0..self.standing.len() {
             self.centre(self.standing[k], parts, views);
         }
+        for &index in &self.standing {
+            let Explanation { hypothesis, verdict, light, .. } = &mut self.list[index];
+            *light = Light::on(&parts[hypothesis.part].pose_model, verdict, views);
+        }
+        self.drop_dim(parts);
         in_time
+    }
+
+    /// Drops those in doubt that stand out from the background much less than all that are proven: no parts, but a bin's rim,
+    /// say.
+    fn drop_dim(&mut self, parts: &[Prepared]) {
+        let (list, before) = (&self.list, self.standing.len());
+        let is_proven = |index: &usize| {
+            let Explanation { hypothesis, fit, verdict, .. } = &list[*index];
+            select::is_proven(&parts[hypothesis.part].pose_model, fit, verdict)
+        };
+        let above = |index: &usize| list[*index].light.above;
+        let proven = self.standing.iter().filter(|index| is_proven(index));
+        let Some(dimmest) = proven.filter_map(above).reduce(f64::min) else { return };
+        let is_dim = |index: &usize| above(index).is_some_and(|above| above < DIM_SHARE * dimmest);
+        self.standing.retain(|index| !is_dim(index) || is_proven(index));
+        if self.standing.len() < before {
+            self.claim_standing();
+        }
     }
 
     /// Those that stand, the most valuable first.

@@ -8,6 +8,7 @@ mod competition;
 use arrayvec::ArrayVec;
 use nalgebra::{Isometry3, Matrix6, Vector2, Vector3};
 
+use super::lamp::Light;
 use super::prepared::{Prepared, SAME_END_PX};
 use crate::matching::claims::ClaimMap;
 use crate::matching::fitness::{UNMATCHED, Weights};
@@ -46,6 +47,8 @@ pub(super) struct Explanation {
     pub(super) covariance: Matrix6<f64>,
     /// What it says of the rig.
     pub(super) turn: TurnSeen,
+    /// How the light lies on its wire, where it stands in the end.
+    pub(super) light: Light,
     /// Where its free ends are expected, left and right, that both pictures show.
     ends_px: ArrayVec<[Vector2<f64>; 2], NODES_MAX>,
     /// Whether these ends are known to be its own.
@@ -128,6 +131,7 @@ impl Explanations {
             verdict: Verdict::with_room(stations.min(refine::STATIONS_MAX), stops),
             covariance: Matrix6::zeros(),
             turn: TurnSeen::default(),
+            light: Light::default(),
             ends_px: ArrayVec::new(),
             has_ends: false,
             overrun_mm: 0.0,

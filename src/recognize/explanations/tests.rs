@@ -193,3 +193,39 @@ fn polished_rods_are_recognised() {
         assert!(found.parts.iter().any(|p| near(&p)), "{middle} of {:?}", found.parts);
     }
 }
+
+/// What is brighter of two pairs, pixel by pixel.
+fn brighter_of(one: &FramePair, other: &FramePair) -> FramePair {
+    let frame = |a: &Frame, b: &Frame| {
+        Frame::from_rgb(640, 480, a.bytes.iter().zip(&b.bytes).map(|(a, b)| *a.max(b)).collect())
+    };
+    FramePair { left: frame(&one.left, &other.left), right: frame(&one.right, &other.right) }
+}
+
+#[test]
+fn what_is_in_doubt_and_much_dimmer_than_a_proven_part_is_none() {
+    let camera = CameraModel::pinhole(640, 480, 1150.0, 320.0, 240.0);
+    let rig = Rig { left: camera, right: camera, right_from_left: Isometry3::translation(-60.0, 0.0, 0.0) };
+    let at = |x: f64, y: f64| Point3::new(30.0 + x, y, 500.0);
+    // The ends of a stretch of wire lie on others, and do not tell whether it is a part.
+    let across = [[at(-40.0, -37.5), at(40.0, -37.5)], [at(-40.0, 37.5), at(40.0, 37.5)]];
+    let (stretch, whole) = ([at(20.0, -37.5), at(20.0, 37.5)], [at(-30.0, -25.0), at(-60.0, 43.7)]);
+    let mut params = Params::default();
+    for range in &mut params.binarize {
+        range.colour = crate::vision::binarize::ColourRange::Grey { min: 65, max: 255 };
+    }
+    let mut recognizer = Recognizer::new(params, rig, vec![rod("rod-75", 75.0)]).unwrap();
+    let mut has_stretch = |bright: &[[Point3<f64>; 2]], light: fn(f64) -> f64| {
+        let pair = brighter_of(&drawn(&rig, bright), &drawn_in_light(&rig, &[stretch], light));
+        let mut found = Recognition::default();
+        recognizer.run(&pair, Budget::Iterations(100_000), 1, &mut found).unwrap();
+        let middle = at(20.0, 0.0).coords;
+        found.parts.iter().any(|p| (p.left_from_part.translation.vector - middle).norm() < 8.0)
+    };
+    let bright: fn(f64) -> f64 = |inside_px| 0.8 * (inside_px + 0.5).clamp(0.0, 1.0);
+    let dim: fn(f64) -> f64 = |inside_px| 0.3 * (inside_px + 0.5).clamp(0.0, 1.0);
+    let [a, b] = across;
+    assert!(has_stretch(&[a, b, whole], bright), "nearly as bright as a part");
+    assert!(!has_stretch(&[a, b, whole], dim), "much dimmer");
+    assert!(has_stretch(&[a, b], dim), "of nothing it is known how bright parts are");
+}
