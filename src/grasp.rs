@@ -32,7 +32,7 @@ use firmware_bridge::message::ArmAxes;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 use crate::part::Part;
-use crate::pose::model::PoseModel;
+use crate::pose::model::{PoseModel, Station};
 
 /// Why a recognised part is not offered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
@@ -262,6 +262,15 @@ pub struct Crossing {
 }
 
 impl Crossing {
+    /// Where a piece of the first is so far above and beside one of the second, in sums of their radii.
+    fn note(&mut self, above: f64, beside: f64) {
+        if beside < 1.0 {
+            self.first_over |= above > OVER_MIN;
+            self.second_over |= above < -OVER_MIN;
+            self.through |= above.abs() <= OVER_MIN && beside < BESIDE_MIN;
+        }
+    }
+
     /// Whether they cross, and nothing tells which lies on top.
     pub fn is_unclear(&self) -> bool {
         self.through && !self.first_over && !self.second_over
@@ -270,49 +279,46 @@ impl Crossing {
 
 /// How two parts cross.
 pub fn crossing(params: &Params, first: &Placed, second: &Placed) -> Crossing {
-    let mut seen = Crossing::default();
     let down = down_in_left(params);
-    let reach = first.model.radius_mm + second.model.radius_mm;
-    let is_near = |apart: &Vector3<f64>, down: &Vector3<f64>, mm: f64| {
-        apart.norm_squared() - down.dot(apart).powi(2) < mm * mm
-    };
-    let [a, b] = [first, second].map(|p| p.left_from_part * p.model.centre_mm);
-    if !is_near(&(a - b), &down, (first.model.length_mm + second.model.length_mm) / 2.0 + reach) {
+    let reach_mm = first.model.radius_mm + second.model.radius_mm;
+    let far_mm = (first.model.length_mm + second.model.length_mm) / 2.0 + reach_mm;
+    let [a, b] = [first, second].map(|part| part.left_from_part * part.model.centre_mm);
+    let mut seen = Crossing::default();
+    if beside_squared(&(a - b), &down) > far_mm * far_mm {
         return seen;
     }
     // In the second part's frame its stations stand as they are.
     let from_first = second.left_from_part.inverse() * first.left_from_part;
     let (turn, shift) = (from_first.rotation.to_rotation_matrix(), from_first.translation);
     let down = second.left_from_part.rotation.inverse() * down;
-    let is_near = |apart: &Vector3<f64>, mm: f64| is_near(apart, &down, mm);
-    for many in &first.model.clusters {
-        let centre = shift * (turn * many.centre_mm);
-        for others in &second.model.clusters {
-            if !is_near(&(centre - others.centre_mm), many.reach_mm + others.reach_mm + reach) {
-                continue;
-            }
-            for a in &first.model.stations[many.stations.clone()] {
-                let at = shift * (turn * a.position_mm);
-                for b in &second.model.stations[others.stations.clone()] {
-                    let apart = at - b.position_mm;
-                    if !is_near(&apart, (a.length_mm + b.length_mm) / 2.0 + reach) {
-                        continue;
-                    }
-                    let half = |tangent: Vector3<f64>, length_mm: f64| tangent * (length_mm / 2.0);
-                    let halves = [half(turn * a.tangent, a.length_mm), half(b.tangent, b.length_mm)];
-                    let apart = nearest_from_above(&apart, &halves, &down);
-                    if is_near(&apart, reach) {
-                        let above_mm = -down.dot(&apart);
-                        seen.first_over |= above_mm > OVER_MIN * reach;
-                        seen.second_over |= above_mm < -OVER_MIN * reach;
-                        seen.through |=
-                            above_mm.abs() <= OVER_MIN * reach && is_near(&apart, BESIDE_MIN * reach);
-                    }
-                }
+    let is_near = |apart: &Vector3<f64>, mm: f64| beside_squared(apart, &down) < mm * mm;
+    let clusters =
+        first.model.clusters.iter().flat_map(|a| second.model.clusters.iter().map(move |b| (a, b)));
+    for (many, others) in clusters {
+        let apart = shift * (turn * many.centre_mm) - others.centre_mm;
+        if !is_near(&apart, many.reach_mm + others.reach_mm + reach_mm) {
+            continue;
+        }
+        for a in &first.model.stations[many.stations.clone()] {
+            let at = shift * (turn * a.position_mm);
+            let lengths_mm = |b: &Station| (a.length_mm + b.length_mm) / 2.0;
+            let others = second.model.stations[others.stations.clone()].iter();
+            for b in others.filter(|b| is_near(&(at - b.position_mm), lengths_mm(b) + reach_mm)) {
+                let halves = [turn * a.tangent * (a.length_mm / 2.0), b.tangent * (b.length_mm / 2.0)];
+                let apart = nearest_from_above(&(at - b.position_mm), &halves, &down);
+                seen.note(
+                    -down.dot(&apart) / reach_mm,
+                    beside_squared(&apart, &down).max(0.0).sqrt() / reach_mm,
+                );
             }
         }
     }
     seen
+}
+
+/// Square of the distance that two places, so far apart, have seen along `down`.
+fn beside_squared(apart: &Vector3<f64>, down: &Vector3<f64>) -> f64 {
+    apart.norm_squared() - down.dot(apart).powi(2)
 }
 
 /// From the second of two straight pieces to the first, where they are nearest to each other seen along `down`. Their
