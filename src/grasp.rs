@@ -88,7 +88,7 @@ pub struct Params {
     pub tilt_tolerance_rad: f64,
     /// Turn that an arm without a yaw axis still takes, radians.
     pub yaw_tolerance_rad: f64,
-    /// Largest standard deviation of the position, mm.
+    /// Largest standard deviation of the position, mm: twice that, and fingers pass thin wire.
     pub sigma_mm_max: f64,
 }
 
@@ -101,7 +101,7 @@ impl Default for Params {
             axes: ArmAxes::Pose,
             tilt_tolerance_rad: 10f64.to_radians(),
             yaw_tolerance_rad: 10f64.to_radians(),
-            sigma_mm_max: 3.0,
+            sigma_mm_max: 1.5,
         }
     }
 }

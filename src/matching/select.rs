@@ -156,13 +156,19 @@ pub fn unclaimed_overrun_mm(model: &PoseModel, verdict: &Verdict, claims: &[Clai
     })
 }
 
+/// Ends that are all farther than this from where they should be, but for one, are not those of the part.
+const END_OFFSET_PX_MAX: f64 = 1.5;
+
 /// Whether a part is proved to lie there: the pictures do not contradict its pose, and it cannot have slid along itself, for
-/// nothing speaks against it, or each free end is seen in a picture, or it is bent.
-pub fn is_proven(model: &PoseModel, fit: &Fit, verdict: &Verdict) -> bool {
-    let is_held = model.straight_along.is_none()
-        || verdict.ends_shown as usize == model.ends.len()
-        || is_sound(fit, verdict, verdict.overrun_mm);
-    is_held && fit.misfit < MISFIT_MAX
+/// nothing speaks against it, or each free end is seen in a picture, or it is bent. `overrun_mm`: how far wire goes on beyond
+/// it that is not known to be another's; two wires that cross look like the legs of a bent part that goes on.
+pub fn is_proven(model: &PoseModel, fit: &Fit, verdict: &Verdict, overrun_mm: f64) -> bool {
+    let is_held = verdict.ends_shown as usize == model.ends.len()
+        || match model.straight_along {
+            Some(_) => is_sound(fit, verdict, verdict.overrun_mm),
+            None => overrun_mm <= 1.5 * model.radius_mm,
+        };
+    is_held && verdict.end_offset_px < END_OFFSET_PX_MAX && fit.misfit < MISFIT_MAX && !verdict.is_narrow
 }
 
 /// What an explanation is worth, in mm of wire.
@@ -304,10 +310,17 @@ mod tests {
             let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts").join(name);
             PoseModel::new(&Part::read(file).unwrap())
         };
-        let proven = |name: &str, misfit: f64, ends_shown: u32| {
-            let verdict = Verdict { ends_shown, ..Verdict::default() };
-            is_proven(&model(name), &Fit { misfit, ..Fit::default() }, &verdict)
+        let held = |name: &str, verdict: &Verdict, misfit: f64, overrun_mm: f64| {
+            is_proven(&model(name), &Fit { misfit, ..Fit::default() }, verdict, overrun_mm)
         };
+        let proven = |name: &str, misfit: f64, ends_shown: u32| {
+            held(name, &Verdict { ends_shown, ..Verdict::default() }, misfit, 0.0)
+        };
+        let narrow = Verdict { ends_shown: 2, is_narrow: true, ..Verdict::default() };
+        assert!(!held("hook.toml", &narrow, 0.5, 0.0) && !held("rod-90.toml", &narrow, 0.5, 0.0));
+        // Legs that go on are those of others, unless both ends are seen.
+        let shown = |ends_shown| Verdict { ends_shown, ..Verdict::default() };
+        assert!(!held("hook.toml", &shown(1), 0.5, 5.0) && held("hook.toml", &shown(2), 0.5, 5.0));
         assert!(proven("hook.toml", 1.2, 0) && !proven("hook.toml", 1.6, 2));
         assert!(proven("rod-90.toml", 1.2, 2) && !proven("rod-90.toml", 1.2, 1));
         assert!(!proven("rod-90.toml", 1.6, 2));

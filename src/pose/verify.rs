@@ -102,7 +102,14 @@ pub struct Verdict {
     pub hidden_px: f64,
     /// Root mean square distance of the seen middles from the expected ones, in pixels.
     pub offset_px: f64,
+    /// Whether the wire is seen narrower than any light makes it: it is thinner than the part's, or farther away.
+    pub is_narrow: bool,
 }
+
+/// Width of the lit region of a wire over that of its silhouette, in the mean along a part: no light makes it less. Of
+/// polished wire, outlines are taken farther down; but it is dark at its sides.
+const LIT_WIDTH_MIN: f64 = 0.62;
+const POLISHED_WIDTH_MIN: f64 = 0.5;
 
 impl Verdict {
     /// Nothing yet, with memory for a part of so many stations and stops.
@@ -163,6 +170,7 @@ pub fn verify(
 ) {
     verdict.pieces.clear();
     let (mut squares, mut seen) = (0.0, 0.0);
+    let (mut widths, mut clear) = (0.0, 0.0);
     let mut shares = [[0.0; 3]; 2];
     for (station, sightings) in model.stations.iter().zip(refine.sightings()) {
         let mut piece = [PieceSight::default(); 2];
@@ -184,7 +192,13 @@ pub fn verify(
                 };
             }
             match piece[side].sight {
-                Sight::Clear => shares[side][0] += share,
+                Sight::Clear => {
+                    shares[side][0] += share;
+                    if let Some((_, width_px)) = piece[side].seen_px {
+                        widths += width_px / (2.0 * piece[side].half_width_px);
+                        clear += 1.0;
+                    }
+                }
                 Sight::Missing | Sight::Outside => shares[side][1] += share,
                 Sight::OneSide | Sight::Crossed => {}
             }
@@ -195,6 +209,8 @@ pub fn verify(
     verdict.missing = shares.map(|s| s[1]);
     verdict.solid = shares.map(|s| s[2]);
     verdict.offset_px = if seen > 0.0 { f64::sqrt(squares / seen) } else { f64::INFINITY };
+    let is_polished = views.iter().any(|view| view.profiler.is_polished());
+    verdict.is_narrow = widths < clear * if is_polished { POLISHED_WIDTH_MIN } else { LIT_WIDTH_MIN };
     verdict.onward.clear();
     for (index, stop) in stops.iter().enumerate() {
         // Where both see the end, floor lies behind it, and what comes then is another's.

@@ -48,7 +48,7 @@ pub(super) fn found(
         blocked: None,
         iterations,
         sound: select::is_sound(&e.fit, &e.verdict, e.verdict.overrun_mm),
-        proven: select::is_proven(&prepared.pose_model, &e.fit, &e.verdict),
+        proven: e.is_proven,
         clear: e.verdict.clear[0].min(e.verdict.clear[1]),
     }
 }

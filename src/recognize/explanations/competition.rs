@@ -55,7 +55,7 @@ impl Explanations {
     }
 
     /// Decides which stand, at most so many, where those lie that nothing holds along themselves, and how the light lies on
-    /// them; says whether there was time to weigh them all.
+    /// them, and which are proved; says whether there was time to weigh them all.
     pub(in crate::recognize) fn decide(
         &mut self,
         parts: &[Prepared],
@@ -70,26 +70,25 @@ impl Explanations {
             self.centre(self.standing[k], parts, views);
         }
         for &index in &self.standing {
-            let Explanation { hypothesis, verdict, light, .. } = &mut self.list[index];
-            *light = Light::on(&parts[hypothesis.part].pose_model, verdict, views);
+            let Explanation { hypothesis, fit, verdict, light, is_proven, .. } = &mut self.list[index];
+            let model = &parts[hypothesis.part].pose_model;
+            *light = Light::on(model, verdict, views);
+            let overrun_mm = select::unclaimed_overrun_mm(model, verdict, &self.claims);
+            *is_proven = select::is_proven(model, fit, verdict, overrun_mm);
         }
-        self.drop_dim(parts);
+        self.drop_dim();
         in_time
     }
 
     /// Drops those in doubt that stand out from the background much less than all that are proven: no parts, but a bin's rim,
     /// say.
-    fn drop_dim(&mut self, parts: &[Prepared]) {
+    fn drop_dim(&mut self) {
         let (list, before) = (&self.list, self.standing.len());
-        let is_proven = |index: &usize| {
-            let Explanation { hypothesis, fit, verdict, .. } = &list[*index];
-            select::is_proven(&parts[hypothesis.part].pose_model, fit, verdict)
-        };
         let above = |index: &usize| list[*index].light.above;
-        let proven = self.standing.iter().filter(|index| is_proven(index));
+        let proven = self.standing.iter().filter(|index| list[**index].is_proven);
         let Some(dimmest) = proven.filter_map(above).reduce(f64::min) else { return };
         let is_dim = |index: &usize| above(index).is_some_and(|above| above < DIM_SHARE * dimmest);
-        self.standing.retain(|index| !is_dim(index) || is_proven(index));
+        self.standing.retain(|index| list[*index].is_proven || !is_dim(index));
         if self.standing.len() < before {
             self.claim_standing();
         }

@@ -49,6 +49,8 @@ pub(super) struct Explanation {
     pub(super) turn: TurnSeen,
     /// How the light lies on its wire, where it stands in the end.
     pub(super) light: Light,
+    /// Whether it is proved, see [`select::is_proven`], where it stands in the end.
+    pub(super) is_proven: bool,
     /// Where its free ends are expected, left and right, that both pictures show.
     ends_px: ArrayVec<[Vector2<f64>; 2], NODES_MAX>,
     /// Whether these ends are known to be its own.
@@ -132,6 +134,7 @@ impl Explanations {
             covariance: Matrix6::zeros(),
             turn: TurnSeen::default(),
             light: Light::default(),
+            is_proven: false,
             ends_px: ArrayVec::new(),
             has_ends: false,
             overrun_mm: 0.0,
