@@ -16,7 +16,8 @@
 //! // In the left camera's frame, z down: one rod on the floor, another across its middle.
 //! let below = Isometry3::translation(0.0, 0.0, 480.0);
 //! let above = Isometry3::new(nalgebra::Vector3::new(0.0, 0.0, 474.0), nalgebra::Vector3::z() * 1.57);
-//! let placed = |left_from_part| Placed { part: &rod, model: &model, left_from_part, sigma_mm: 0.2 };
+//! let sigma_mm = nalgebra::Vector3::repeat(0.2);
+//! let placed = |left_from_part| Placed { part: &rod, model: &model, left_from_part, sigma_mm };
 //! let all = [placed(&below), placed(&above)];
 //!
 //! let params = Params::default();
@@ -130,13 +131,15 @@ pub struct Placed<'a> {
     pub model: &'a PoseModel,
     /// Its pose.
     pub left_from_part: &'a Isometry3<f64>,
-    /// Largest standard deviation of its position, mm.
-    pub sigma_mm: f64,
+    /// Standard deviations of its position along the axes of the base (without one: of the left camera), mm.
+    pub sigma_mm: Vector3<f64>,
 }
 
 /// How far apart the axes of two wires must be in height, in sums of their radii, for one to lie on the other rather
 /// than beside it. Where they cross it is 1 or more, less the error of two depths.
 const OVER_MIN: f64 = 0.5;
+/// The same in standard deviations of the height, for it to be sure.
+const SURE_SIGMAS: f64 = 2.0;
 /// How far apart the axes of two wires of about the same height are beside each other at least, in sums of their radii.
 /// Where they lie along each other it is 1, less the error of two places.
 const BESIDE_MIN: f64 = 0.6;
@@ -196,7 +199,7 @@ pub fn blocked<'a>(
             for (lower, upper_is_sure) in [(other, crossing.first_over), (k, crossing.second_over)] {
                 if upper_is_sure {
                     why[lower] = Some(Blocked::Covered);
-                } else if crossing.is_unclear() {
+                } else if crossing.is_unclear {
                     why[lower].get_or_insert(Blocked::Uncertain);
                 }
             }
@@ -213,7 +216,7 @@ pub fn blocked<'a>(
 /// Why a part cannot be taken, were it alone in the bin.
 fn out_of_reach(params: &Params, placed: &Placed, grasp: &Grasp) -> Option<Blocked> {
     let gripper = &params.gripper;
-    if placed.sigma_mm > params.sigma_mm_max {
+    if placed.sigma_mm.max() > params.sigma_mm_max {
         return Some(Blocked::Uncertain);
     }
     if grasp.opening_mm > gripper.opening_max_mm {
@@ -257,23 +260,20 @@ pub struct Crossing {
     pub first_over: bool,
     /// Somewhere the second lies over the first.
     pub second_over: bool,
-    /// Somewhere they cross at about the same height. Wires do not go through each other: one of the poses is not right.
-    pub through: bool,
+    /// Somewhere they cross, and their heights, in which nothing has them touch, do not tell which lies on top: they are about
+    /// the same, and wires do not go through each other; or they are not known well enough.
+    pub is_unclear: bool,
 }
 
 impl Crossing {
-    /// Where a piece of the first is so far above and beside one of the second, in sums of their radii.
-    fn note(&mut self, above: f64, beside: f64) {
+    /// Where a piece of the first is so far above and beside one of the second, and is surely one of them above the other from
+    /// some height on; all in sums of their radii.
+    fn note(&mut self, above: f64, beside: f64, surely: f64) {
         if beside < 1.0 {
             self.first_over |= above > OVER_MIN;
             self.second_over |= above < -OVER_MIN;
-            self.through |= above.abs() <= OVER_MIN && beside < BESIDE_MIN;
+            self.is_unclear |= above.abs() <= surely && beside < BESIDE_MIN;
         }
-    }
-
-    /// Whether they cross, and nothing tells which lies on top.
-    pub fn is_unclear(&self) -> bool {
-        self.through && !self.first_over && !self.second_over
     }
 }
 
@@ -292,6 +292,7 @@ pub fn crossing(params: &Params, first: &Placed, second: &Placed) -> Crossing {
     let (turn, shift) = (from_first.rotation.to_rotation_matrix(), from_first.translation);
     let down = second.left_from_part.rotation.inverse() * down;
     let is_near = |apart: &Vector3<f64>, mm: f64| beside_squared(apart, &down) < mm * mm;
+    let surely = OVER_MIN.max(SURE_SIGMAS * first.sigma_mm.z.hypot(second.sigma_mm.z) / reach_mm);
     let clusters =
         first.model.clusters.iter().flat_map(|a| second.model.clusters.iter().map(move |b| (a, b)));
     for (many, others) in clusters {
@@ -306,10 +307,8 @@ pub fn crossing(params: &Params, first: &Placed, second: &Placed) -> Crossing {
             for b in others.filter(|b| is_near(&(at - b.position_mm), lengths_mm(b) + reach_mm)) {
                 let halves = [turn * a.tangent * (a.length_mm / 2.0), b.tangent * (b.length_mm / 2.0)];
                 let apart = nearest_from_above(&(at - b.position_mm), &halves, &down);
-                seen.note(
-                    -down.dot(&apart) / reach_mm,
-                    beside_squared(&apart, &down).max(0.0).sqrt() / reach_mm,
-                );
+                let beside = beside_squared(&apart, &down).max(0.0).sqrt() / reach_mm;
+                seen.note(-down.dot(&apart) / reach_mm, beside, surely);
             }
         }
     }
@@ -344,110 +343,43 @@ pub fn fingers_reach_mm(gripper: &Gripper, grasp: &Grasp) -> f64 {
     (grasp.opening_mm / 2.0 + gripper.finger_thickness_mm).hypot(gripper.finger_width_mm / 2.0)
 }
 
-/// Whether both fingers can come down beside the wire without meeting another part.
+/// Whether both fingers can come down beside the wire and rise with it without meeting another part; what lies between them
+/// would be gripped as well.
 fn fingers_fit<'a>(params: &Params, mut others: impl Iterator<Item = &'a Placed<'a>>, grasp: &Grasp) -> bool {
     let gripper = &params.gripper;
     let out_from_left = params.base_from_left.unwrap_or_default();
     let tool_from_out = grasp.orientation.inverse();
-    let inner = grasp.opening_mm / 2.0;
-    let outer = inner + gripper.finger_thickness_mm;
+    let up = if params.base_from_left.is_some() { Vector3::z() } else { -Vector3::z() };
+    let retreat = tool_from_out * up * gripper.retreat_mm;
     !others.any(|other| {
         let radius = other.model.radius_mm;
         let tool_from_part = out_from_left * other.left_from_part;
+        let across = grasp.opening_mm / 2.0 + gripper.finger_thickness_mm + radius;
+        let along = gripper.finger_width_mm / 2.0 + radius;
+        let deep = gripper.finger_depth_mm + radius;
+        // In shares of the retreat: while a place, which sinks past the fingers then, is within a distance of their middle.
+        let within = |at: f64, by: f64, mm: f64| {
+            let [a, b] = [(at - mm) / by, (at + mm) / by];
+            match by.abs() < 1e-9 {
+                true if at.abs() < mm => [0.0, 1.0],
+                true => [1.0, 0.0],
+                false => [a.min(b), a.max(b)],
+            }
+        };
+        let is_met = |at: Vector3<f64>| {
+            let [x, y] = [within(at.x, retreat.x, across), within(at.y, retreat.y, along)];
+            let (from, to) = (x[0].max(y[0]).max(0.0), x[1].min(y[1]).min(1.0));
+            // It is deepest at one end of that.
+            let depth = |share: f64| at.z - retreat.z * share;
+            from < to && depth(from).min(depth(to)) < deep
+        };
         other.model.stations.iter().any(|s| {
             let at = tool_from_out * (tool_from_part * s.position_mm - grasp.position_mm);
-            let x = at.x.abs();
-            x > inner - radius
-                && x < outer + radius
-                && at.y.abs() < gripper.finger_width_mm / 2.0 + radius
-                && at.z < gripper.finger_depth_mm + radius
+            let quarter = tool_from_out * (tool_from_part * s.tangent) * (s.length_mm / 4.0);
+            is_met(at - quarter) || is_met(at + quarter)
         })
     })
 }
 
 #[cfg(test)]
-mod tests {
-    use proptest::prelude::*;
-
-    use super::*;
-
-    /// Two rods, 90 mm long and 3 mm thick, level: one along x at the origin, the other turned by `yaw`, its middle at
-    /// this place.
-    fn of_two(yaw: f64, middle_mm: [f64; 3]) -> (Crossing, [Option<Blocked>; 2]) {
-        let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts/rod-90.toml");
-        let part = Part::read(file).unwrap();
-        let model = PoseModel::new(&part);
-        let rod = |yaw: f64, middle_mm: [f64; 3]| {
-            let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), yaw) * turned_to_x(&model);
-            let middle = Point3::from(middle_mm) - turn * model.centre_mm.coords;
-            Isometry3::from_parts(middle.coords.into(), turn.into())
-        };
-        let poses = [rod(0.0, [0.0, 0.0, 500.0]), rod(yaw, middle_mm)];
-        let placed = poses.each_ref().map(|left_from_part| Placed {
-            part: &part,
-            model: &model,
-            left_from_part,
-            sigma_mm: 0.1,
-        });
-        let params = Params::default();
-        let mut why = [None; 2];
-        blocked(&params, &placed, &placed.map(|p| grasp_of(&params, &p)), &mut why);
-        (crossing(&params, &placed[0], &placed[1]), why)
-    }
-
-    fn turned_to_x(model: &PoseModel) -> Rotation3<f64> {
-        Rotation3::rotation_between(&model.straight_along.unwrap(), &Vector3::x()).unwrap()
-    }
-
-    const UPRIGHT: f64 = std::f64::consts::FRAC_PI_2;
-
-    #[test]
-    fn a_part_whose_end_juts_out_over_another_covers_it() {
-        // How far its end stands off the other's axis; over the edge is 3 mm, to the sum of the radii.
-        let jutting = |off_mm: f64, x_mm: f64| of_two(UPRIGHT, [x_mm, 45.0 + off_mm, 497.0]);
-        for tenth in 0..60 {
-            let x_mm = 0.1 * f64::from(tenth) - 44.0;
-            let (crossing, why) = jutting(2.9, x_mm);
-            assert_eq!(crossing, Crossing { second_over: true, ..Crossing::default() }, "{x_mm}");
-            assert_eq!(why, [Some(Blocked::Covered), None]);
-            assert_eq!(jutting(3.1, x_mm).0, Crossing::default(), "{x_mm}");
-        }
-    }
-
-    #[test]
-    fn the_one_on_top_is_offered_and_neither_is_where_they_go_through_each_other() {
-        // They cross far from where either is gripped.
-        let over = |by_mm: f64| of_two(UPRIGHT, [30.0, 30.0, 500.0 - by_mm]).1;
-        assert_eq!(over(3.0), [Some(Blocked::Covered), None]);
-        assert_eq!(over(-3.0), [None, Some(Blocked::Covered)]);
-        for by_mm in [-1.4, -0.1, 0.0, 0.1, 1.4] {
-            assert_eq!(over(by_mm), [Some(Blocked::Uncertain); 2], "{by_mm}");
-        }
-    }
-
-    #[test]
-    fn wires_side_by_side_are_in_the_way_of_fingers_and_not_on_each_other() {
-        for beside_mm in [2.7, 3.0, 3.3] {
-            let (crossing, why) = of_two(0.0, [30.0, beside_mm, 500.0]);
-            assert_eq!(crossing, Crossing::default(), "{beside_mm}");
-            assert_eq!(why, [Some(Blocked::NoRoom); 2], "{beside_mm}");
-        }
-    }
-
-    proptest! {
-        #[test]
-        fn no_places_of_two_pieces_are_nearer_than_those_found(
-            numbers: [i8; 9], shares in proptest::array::uniform2(-1.0..1.0),
-        ) {
-            let vector = |k: usize| Vector3::from_fn(|i, _| f64::from(numbers[k + i]) / 16.0);
-            let (apart, [u, v]) = (vector(0), [vector(3), vector(6)]);
-            let beside = |between: Vector3<f64>| between.xy().norm();
-            let nearest = beside(nearest_from_above(&apart, &[u, v], &Vector3::z()));
-            let [s, t] = shares;
-            let ends = [-1.0, 1.0].into_iter().flat_map(|s| [-1.0, 1.0].map(|t| [s, t]));
-            for [s, t] in ends.chain([[s, t], [s, 1.0], [-1.0, t]]) {
-                prop_assert!(nearest <= beside(apart + u * s - v * t) + 1e-9);
-            }
-        }
-    }
-}
+mod tests;

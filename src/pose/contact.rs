@@ -67,6 +67,8 @@ pub struct Passing {
     pub along: Vector3<f64>,
     /// Radius of the wire.
     pub radius_mm: f64,
+    /// How far from there the nearer end of the piece is.
+    pub to_end_mm: f64,
 }
 
 /// Moves two parts out of each other, and their covariances to what is known then. `down`: unit vector in the left
@@ -86,9 +88,10 @@ pub fn press_apart(
         for other in 0..b.model.straight_mm.len() {
             let piece = |p: &Placed, k: usize| p.model.straight_mm[k].map(|end| *p.left_from_part * end);
             let Some([at_a, at_b]) = crossing(piece(a, one), piece(b, other), down) else { continue };
-            let passing = |p: &Placed, k: usize, at_mm| {
+            let passing = |p: &Placed, k: usize, at_mm: Point3<f64>| {
                 let [from, to] = piece(p, k);
-                Passing { at_mm, along: (to - from).normalize(), radius_mm: p.model.radius_mm }
+                let to_end_mm = (at_mm - from).norm().min((at_mm - to).norm());
+                Passing { at_mm, along: (to - from).normalize(), radius_mm: p.model.radius_mm, to_end_mm }
             };
             let (of_a, of_b) = (passing(a, one, at_a), passing(b, other, at_b));
             press(a, b, &of_a, &of_b, down, &mut is_over);

@@ -25,15 +25,16 @@
 //!     });
 //!     Frame::from_grey(640, 480, pixels.collect())
 //! });
-//! let wire = |along| Passing { at_mm: Point3::new(0.0, 0.0, 500.0), along, radius_mm: 2.5 };
+//! let wire = |along| Passing { at_mm: Point3::new(0.0, 0.0, 500.0), along, radius_mm: 2.5, to_end_mm: 50.0 };
 //! let (level, upright) = (wire(Vector3::x()), wire(Vector3::y()));
 //! assert_eq!(is_over(&level, &upright, &drawn.views()), Some(true));
 //! assert_eq!(is_over(&upright, &level, &drawn.views()), Some(false));
 //! ```
 
-use super::aim::aim;
+use super::aim::{Aim, aim};
 use super::contact::Passing;
 use super::refine::View;
+use super::section::DIP_BESIDE_PX;
 
 /// Sine of the angle at which wires cross in a picture, below which it says nothing.
 const CROSSING_SIN_MIN: f64 = 0.25;
@@ -64,9 +65,17 @@ fn more_interrupted(a: &Passing, b: &Passing, view: &View) -> Option<f64> {
     // Seen at an angle, axes of different height cross beside the crossing seen from above.
     let apart = aim_b.px - aim_a.px;
     let crossing = aim_a.px + aim_a.along * (apart.perp(&aim_b.along) / turn);
-    let dip = |at, along, other_half_px: f64| view.profiler.dip(at, along, other_half_px / sin + 1.5);
-    let of_a = dip(crossing, aim_a.along, aim_b.half_width_px)?;
-    let of_b = dip(crossing, aim_b.along, aim_a.half_width_px)?;
+    let dip = |of: &Passing, aim: &Aim, other_half_px: f64| {
+        let near_px = other_half_px / sin + 1.5;
+        // A wire that ends there is interrupted by its end.
+        let to_end_px = of.to_end_mm * aim.half_width_px / of.radius_mm;
+        if to_end_px < near_px + DIP_BESIDE_PX as f64 {
+            return None;
+        }
+        view.profiler.dip(crossing, aim.along, near_px)
+    };
+    let of_a = dip(a, &aim_a, aim_b.half_width_px)?;
+    let of_b = dip(b, &aim_b, aim_a.half_width_px)?;
     Some(of_b - of_a)
 }
 
@@ -82,7 +91,7 @@ mod tests {
 
     /// What two pictures tell of a level wire and one across it, 3 mm thick, both half a metre away: at the crossing the
     /// level one is seen whole, with flanks of this grey value.
-    fn told(left_flank: u8, right_flank: u8) -> [Option<bool>; 2] {
+    fn told(left_flank: u8, right_flank: u8, to_end_mm: f64) -> [Option<bool>; 2] {
         let camera = CameraModel::pinhole(200, 160, 1000.0, 100.0, 80.0);
         let right = Isometry3::translation(-10.0, 0.0, 0.0);
         let frame = |crossing_x: i32, flank: u8| {
@@ -107,19 +116,24 @@ mod tests {
             mask: &mask,
         };
         let views = [view(0, Isometry3::identity()), view(1, right)];
-        let wire = |along| Passing { at_mm: Point3::new(0.0, 0.0, 500.0), along, radius_mm: 1.5 };
+        let wire = |along| Passing { at_mm: Point3::new(0.0, 0.0, 500.0), along, radius_mm: 1.5, to_end_mm };
         let (level, upright) = (wire(Vector3::x()), wire(Vector3::y()));
         [is_over(&level, &upright, &views), is_over(&upright, &level, &views)]
     }
 
     #[test]
     fn the_wire_that_is_not_interrupted_lies_over_the_other() {
-        assert_eq!(told(90, 90), [Some(true), Some(false)]);
+        assert_eq!(told(90, 90, 40.0), [Some(true), Some(false)]);
+    }
+
+    #[test]
+    fn wires_that_end_at_the_crossing_tell_nothing() {
+        assert_eq!(told(90, 90, 3.0), [None; 2]);
     }
 
     #[test]
     fn without_dark_flanks_or_in_one_picture_alone_nothing_is_told() {
-        assert_eq!(told(195, 195), [None; 2]);
-        assert_eq!(told(90, 195), [None; 2]);
+        assert_eq!(told(195, 195, 40.0), [None; 2]);
+        assert_eq!(told(90, 195, 40.0), [None; 2]);
     }
 }

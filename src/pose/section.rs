@@ -15,7 +15,7 @@ pub(super) const SAMPLES_MAX: usize = 96;
 /// Steps from one outline to the other in which the light between them is added up.
 const SKEW_STEPS: usize = 12;
 /// How far beside a crossing the light of a wire is looked at, in pixels.
-const DIP_BESIDE_PX: usize = 5;
+pub(super) const DIP_BESIDE_PX: usize = 5;
 /// Half the way from the background to the brightest of the wire, where the outline of a dull wire is.
 pub const HALF_WAY: u8 = 128;
 /// From so many widths on it is no shadow that joins a dark wire, but another wire.

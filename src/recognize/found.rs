@@ -26,7 +26,7 @@ pub(super) fn found(
     iterations: u64,
 ) -> FoundPart {
     let pose = e.fit.left_from_part;
-    let placed = prepared.placed(&pose, 0.0);
+    let placed = prepared.placed(&pose, Vector3::zeros());
     let grasp = grasp::grasp_of(&params.grasp, &placed);
     let (sigma_mm, sigma_axis_rad) = sigmas(&params.grasp, prepared, &pose, &e.covariance, beside_mm);
     let nodes = prepared.nodes_seen(rig, &pose, pictures.each_ref().map(Picture::nodes)).map(

@@ -47,7 +47,7 @@ impl Recognizer {
         let Self { parts, params, scales, pictures, explanations, unknown, .. } = self;
         let rig = rig_of(scales, pictures);
         let placed: ArrayVec<Placed, PARTS_MAX> =
-            out.parts.iter().map(|f| parts[f.part].placed(&f.left_from_part, f.sigma_mm.max())).collect();
+            out.parts.iter().map(|f| parts[f.part].placed(&f.left_from_part, f.sigma_mm)).collect();
         let mut blocked = [None; PARTS_MAX];
         grasp::blocked(&params.grasp, &placed, out.parts.iter().map(|f| &f.grasp), &mut blocked);
         drop(placed);
@@ -63,7 +63,9 @@ impl Recognizer {
                     true => unknown
                         .is_in_the_way(&taken, pictures, explanations.claims())
                         .then_some(Blocked::Unknown),
-                    false => (!taken.stands_alone(pictures)).then_some(Blocked::OutOfTime),
+                    false => {
+                        (!taken.stands_alone(pictures, explanations.claims())).then_some(Blocked::OutOfTime)
+                    }
                 }
             });
         }

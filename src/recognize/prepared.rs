@@ -46,7 +46,11 @@ impl Prepared {
         Self { part, pose_model, match_model, stops, middle_mm, raised_rad }
     }
 
-    pub(super) fn placed<'a>(&'a self, left_from_part: &'a Isometry3<f64>, sigma_mm: f64) -> Placed<'a> {
+    pub(super) fn placed<'a>(
+        &'a self,
+        left_from_part: &'a Isometry3<f64>,
+        sigma_mm: Vector3<f64>,
+    ) -> Placed<'a> {
         Placed { part: &self.part, model: &self.pose_model, left_from_part, sigma_mm }
     }
 

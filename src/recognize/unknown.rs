@@ -122,7 +122,7 @@ impl Taken<'_> {
 
     /// Whether it can be taken whatever else there is: it is certain by itself, both pictures show all its wire, so that
     /// nothing lies on it, and no other near it or where the fingers go.
-    pub(super) fn stands_alone(&self, pictures: &[Picture; 2]) -> bool {
+    pub(super) fn stands_alone(&self, pictures: &[Picture; 2], claims: &[ClaimMap; 2]) -> bool {
         let Explanation { fit, verdict, .. } = self.explanation;
         let model = &self.prepared.pose_model;
         let mut pieces = model.stations.iter().zip(&verdict.pieces);
@@ -131,6 +131,7 @@ impl Taken<'_> {
             && ![0, 1]
                 .into_iter()
                 .any(|side: usize| self.is_met(side, skeleton(&pictures[side]), true, |_| true))
+            && !self.is_met_by_mask(pictures, claims)
     }
 
     /// Whether some of this wire is not the part's own and comes near some of its `pieces`, or the `fingers`.
@@ -211,7 +212,7 @@ mod tests {
                 let found = out.parts.iter().find(is_it).unwrap();
                 let taken = Taken { params: &params.grasp, rig, prepared: &parts[0], explanation, found };
                 Known {
-                    alone: taken.stands_alone(pictures),
+                    alone: taken.stands_alone(pictures, claims),
                     met_by_mask: taken.is_met_by_mask(pictures, claims),
                     in_the_way: unknown.is_in_the_way(&taken, pictures, claims),
                     blocked: found.blocked,

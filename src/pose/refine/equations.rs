@@ -5,10 +5,11 @@
 
 use nalgebra::{Cholesky, Const, SMatrix, SVector, Vector3, Vector6};
 
+use super::STATIONS_MAX;
 use crate::level::Level;
 
-/// Most measurements of one fit.
-pub(super) const MEASUREMENTS_MAX: usize = 1024;
+/// Most measurements of one fit: of all stations and ends in both pictures.
+pub(super) const MEASUREMENTS_MAX: usize = 2 * STATIONS_MAX + 128;
 /// Measurements of a block.
 const LANES: usize = 8;
 /// Blocks that are weighed before their products are added up.

@@ -64,8 +64,13 @@ impl Explanations {
         exchanging: &mut Watch,
         most: usize,
     ) -> bool {
-        let in_time = self.weigh(parts, params, exchanging);
-        self.standing.truncate(most);
+        let mut in_time = self.weigh(parts, params, exchanging);
+        if self.standing.len() > most {
+            // What there is no room for is not known to be anything.
+            self.standing.truncate(most);
+            self.claim_standing();
+            in_time = false;
+        }
         for k in 0..self.standing.len() {
             self.centre(self.standing[k], parts, views);
         }

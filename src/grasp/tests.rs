@@ -1,0 +1,131 @@
+use proptest::prelude::*;
+
+use super::*;
+
+/// Two rods, 90 mm long and 3 mm thick, level: one along x at the origin, the other turned by `yaw`, its middle at
+/// this place.
+fn of_two(yaw: f64, middle_mm: [f64; 3]) -> (Crossing, [Option<Blocked>; 2]) {
+    of_two_known(yaw, middle_mm, 0.1)
+}
+
+/// The same, with their places known to so much.
+fn of_two_known(yaw: f64, middle_mm: [f64; 3], sigma_mm: f64) -> (Crossing, [Option<Blocked>; 2]) {
+    let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts/rod-90.toml");
+    let part = Part::read(file).unwrap();
+    let model = PoseModel::new(&part);
+    let rod = |yaw: f64, middle_mm: [f64; 3]| {
+        let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), yaw) * turned_to_x(&model);
+        let middle = Point3::from(middle_mm) - turn * model.centre_mm.coords;
+        Isometry3::from_parts(middle.coords.into(), turn.into())
+    };
+    let poses = [rod(0.0, [0.0, 0.0, 500.0]), rod(yaw, middle_mm)];
+    let placed = poses.each_ref().map(|left_from_part| Placed {
+        part: &part,
+        model: &model,
+        left_from_part,
+        sigma_mm: Vector3::repeat(sigma_mm),
+    });
+    let params = Params::default();
+    let mut why = [None; 2];
+    blocked(&params, &placed, &placed.map(|p| grasp_of(&params, &p)), &mut why);
+    (crossing(&params, &placed[0], &placed[1]), why)
+}
+
+fn turned_to_x(model: &PoseModel) -> Rotation3<f64> {
+    Rotation3::rotation_between(&model.straight_along.unwrap(), &Vector3::x()).unwrap()
+}
+
+const UPRIGHT: f64 = std::f64::consts::FRAC_PI_2;
+
+#[test]
+fn a_part_whose_end_juts_out_over_another_covers_it() {
+    // How far its end stands off the other's axis; over the edge is 3 mm, to the sum of the radii.
+    let jutting = |off_mm: f64, x_mm: f64| of_two(UPRIGHT, [x_mm, 45.0 + off_mm, 497.0]);
+    for tenth in 0..60 {
+        let x_mm = 0.1 * f64::from(tenth) - 44.0;
+        let (crossing, why) = jutting(2.9, x_mm);
+        assert_eq!(crossing, Crossing { second_over: true, ..Crossing::default() }, "{x_mm}");
+        assert_eq!(why, [Some(Blocked::Covered), None]);
+        assert_eq!(jutting(3.1, x_mm).0, Crossing::default(), "{x_mm}");
+    }
+}
+
+#[test]
+fn the_one_on_top_is_offered_and_neither_is_where_they_go_through_each_other() {
+    // They cross far from where either is gripped.
+    let over = |by_mm: f64| of_two(UPRIGHT, [30.0, 30.0, 500.0 - by_mm]).1;
+    assert_eq!(over(3.0), [Some(Blocked::Covered), None]);
+    assert_eq!(over(-3.0), [None, Some(Blocked::Covered)]);
+    for by_mm in [-1.4, -0.1, 0.0, 0.1, 1.4] {
+        assert_eq!(over(by_mm), [Some(Blocked::Uncertain); 2], "{by_mm}");
+    }
+}
+
+#[test]
+fn heights_that_are_not_known_well_do_not_tell_which_lies_on_top() {
+    let over = |sigma_mm: f64| of_two_known(UPRIGHT, [30.0, 30.0, 497.0], sigma_mm).1;
+    assert_eq!(over(0.9), [Some(Blocked::Covered), None]);
+    assert_eq!(over(1.2), [Some(Blocked::Covered), Some(Blocked::Uncertain)]);
+}
+
+#[test]
+fn fingers_neither_close_on_two_wires_nor_rise_into_another() {
+    // Another wire, 2.4 mm thick, whose middle is here in the tool's axes; the tool leans by so much.
+    let text =
+        include_str!("../../replay/parts/rod-90.toml").replace("thickness_mm = 3.0", "thickness_mm = 2.4");
+    let part = Part::parse(&text, "thin.toml").unwrap();
+    let model = PoseModel::new(&part);
+    let fit = |at_mm: [f64; 3], lean: f64| {
+        let tool = Rotation3::from_axis_angle(&Vector3::x_axis(), lean);
+        let grasp = Grasp {
+            position_mm: Point3::new(10.0, 20.0, 500.0),
+            axis: tool * Vector3::y(),
+            orientation: UnitQuaternion::from_rotation_matrix(&tool),
+            opening_mm: 8.0,
+            tilt_rad: lean,
+        };
+        // Along the tool's y axis.
+        let along = Rotation3::from_axis_angle(&Vector3::z_axis(), UPRIGHT) * turned_to_x(&model);
+        let turn = tool * along;
+        let middle = grasp.position_mm + tool * Vector3::from(at_mm);
+        let pose = Isometry3::from_parts((middle - turn * model.centre_mm).into(), turn.into());
+        let other = Placed { part: &part, model: &model, left_from_part: &pose, sigma_mm: Vector3::zeros() };
+        fingers_fit(&Params::default(), std::iter::once(&other), &grasp)
+    };
+    let Gripper { finger_depth_mm, finger_thickness_mm, .. } = Gripper::default();
+    let beside_mm = 4.0 + finger_thickness_mm + 1.2;
+    assert!(!fit([2.4, 0.0, 0.0], 0.0) && !fit([beside_mm - 0.1, 0.0, 0.0], 0.0));
+    assert!(fit([beside_mm + 0.1, 0.0, 0.0], 0.0));
+    assert!(fit([2.4, 0.0, finger_depth_mm + 1.3], 0.0) && !fit([2.4, 0.0, finger_depth_mm + 1.1], 0.0));
+    // What ends before the fingers is in their way where they rise straight up and not along their approach.
+    let before_mm = -45.0 - Gripper::default().finger_width_mm / 2.0 - 1.5;
+    let high = [4.0, before_mm, -30.0];
+    assert!(fit(high, 0.0));
+    assert!(fit(high, 0.3) != fit(high, -0.3));
+}
+
+#[test]
+fn wires_side_by_side_are_in_the_way_of_fingers_and_not_on_each_other() {
+    for beside_mm in [2.7, 3.0, 3.3] {
+        let (crossing, why) = of_two(0.0, [30.0, beside_mm, 500.0]);
+        assert_eq!(crossing, Crossing::default(), "{beside_mm}");
+        assert_eq!(why, [Some(Blocked::NoRoom); 2], "{beside_mm}");
+    }
+}
+
+proptest! {
+    #[test]
+    fn no_places_of_two_pieces_are_nearer_than_those_found(
+        numbers: [i8; 9], shares in proptest::array::uniform2(-1.0..1.0),
+    ) {
+        let vector = |k: usize| Vector3::from_fn(|i, _| f64::from(numbers[k + i]) / 16.0);
+        let (apart, [u, v]) = (vector(0), [vector(3), vector(6)]);
+        let beside = |between: Vector3<f64>| between.xy().norm();
+        let nearest = beside(nearest_from_above(&apart, &[u, v], &Vector3::z()));
+        let [s, t] = shares;
+        let ends = [-1.0, 1.0].into_iter().flat_map(|s| [-1.0, 1.0].map(|t| [s, t]));
+        for [s, t] in ends.chain([[s, t], [s, 1.0], [-1.0, t]]) {
+            prop_assert!(nearest <= beside(apart + u * s - v * t) + 1e-9);
+        }
+    }
+}
