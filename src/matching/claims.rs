@@ -32,7 +32,7 @@ use crate::vision::whole::{ceil, floor};
 
 /// Side of a cell, in pixels.
 const CELL: usize = 3;
-const CELL_PX: f64 = CELL as f64;
+pub(crate) const CELL_PX: f64 = CELL as f64;
 /// Directions told apart in a cell, over half a turn.
 const DIRECTIONS: i32 = 32;
 /// Claims of directions nearer than this many steps are the same wire.
@@ -176,13 +176,22 @@ impl ClaimMap {
         self.in_cell([x, y].map(|px| (usize::from(px) + CELL / 2) / CELL)) != 0
     }
 
+    /// Whether a place lies on claimed wire of another direction than the one that `across` is at right angles to.
+    pub fn is_claimed_across(&self, px: &Vector2<f64>, across: &Vector2<f64>) -> bool {
+        self.at(px) & !same_directions(across) != 0
+    }
+
     /// Whether a place lies on claimed wire of the direction that `across` is at right angles to.
     pub fn is_claimed_at(&self, px: &Vector2<f64>, across: &Vector2<f64>) -> bool {
         let claimed = self.at(px);
-        let near = (1u32 << (2 * SAME_DIRECTION + 1)) - 1;
-        claimed != 0
-            && claimed & near.rotate_left((direction_of(across) + DIRECTIONS - SAME_DIRECTION) as u32) != 0
+        claimed != 0 && claimed & same_directions(across) != 0
     }
+}
+
+/// A bit for each direction that is the same as the one that `across` is at right angles to.
+fn same_directions(across: &Vector2<f64>) -> u32 {
+    let near = (1u32 << (2 * SAME_DIRECTION + 1)) - 1;
+    near.rotate_left((direction_of(across) + DIRECTIONS - SAME_DIRECTION) as u32)
 }
 
 /// What lies no farther than given from a straight line through the origin, row by row.

@@ -1,7 +1,7 @@
 //! Wire that no recognised part has, and the parts that it is in the way of.
 //!
 //! Such wire is a part that was missed, or none of those that are looked for. Where both pictures show it at the fingers
-//! of a grasp, or beside a place where something crosses the part, the part is left. Was not all wire looked at, because
+//! of a grasp, or beside the part, the part is left; so it is where neither picture shows its wire and nothing known lies there. Was not all wire looked at, because
 //! time was over, much is unknown, and only a part that stands alone is taken.
 
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
@@ -10,7 +10,7 @@ use super::explanations::Explanation;
 use super::prepared::Prepared;
 use super::result::FoundPart;
 use crate::grasp;
-use crate::matching::claims::ClaimMap;
+use crate::matching::claims::{CELL_PX, ClaimMap};
 use crate::matching::select;
 use crate::picture::Picture;
 use crate::pose::verify::{PieceSight, Sight};
@@ -21,6 +21,8 @@ use crate::vision::bits::nearest;
 /// within which the middle of another wire would touch it, half as many again for what thinning displaces.
 const OWN_HALF_WIDTHS: f64 = 1.5;
 const NEAR_HALF_WIDTHS: f64 = 3.0;
+/// So much farther: what a part claims beside its wire is not seen to be another's.
+const CLAIMED_BESIDE_PX: f64 = 2.0 * CELL_PX;
 /// Places across and along a finger at which the masks are asked; and a finger meets something where more than one in so many
 /// of them is object.
 const FINGER_SAMPLES: usize = 6;
@@ -29,6 +31,15 @@ const FINGER_SHARE: usize = 8;
 /// Skeletons without what recognised parts claim.
 pub(super) struct Unknown {
     left_and_right_px: [Vec<Vector2<f64>>; 2],
+}
+
+/// What of a part that is to be taken wire may come near.
+#[derive(Clone, Copy)]
+enum Near {
+    /// Where the fingers come down.
+    Fingers,
+    /// Its own wire, which the other then crosses or lies beside.
+    Wire,
 }
 
 /// A part that is to be taken, and what is known of it.
@@ -58,20 +69,20 @@ impl Unknown {
         }
     }
 
-    /// Whether both pictures show wire where the fingers go, or where it can be what crosses the part.
+    /// Whether both pictures show wire where the fingers go, or beside the part's, or something that has no wire lies on it.
     pub(super) fn is_in_the_way(
         &self,
         taken: &Taken,
         pictures: &[Picture; 2],
         claims: &[ClaimMap; 2],
     ) -> bool {
-        let comes_near = |fingers: bool, pieces: fn(&[PieceSight; 2]) -> bool| {
-            [0, 1].into_iter().all(|side: usize| {
-                taken.is_met(side, self.left_and_right_px[side].iter().copied(), fingers, pieces)
-            })
+        let comes_near = |near: &[Near]| {
+            let wire_px = &self.left_and_right_px;
+            [0, 1].into_iter().all(|side: usize| taken.is_met(side, wire_px[side].iter().copied(), near))
         };
-        comes_near(true, |_| false)
-            || comes_near(false, |piece| piece.iter().any(|p| p.sight != Sight::Clear))
+        comes_near(&[Near::Fingers])
+            || comes_near(&[Near::Wire])
+            || taken.hidden(claims).any(|piece| piece.iter().any(|p| p.sight != Sight::OneSide))
             || taken.is_met_by_mask(pictures, claims)
     }
 }
@@ -120,6 +131,20 @@ impl Taken<'_> {
         })
     }
 
+    /// Pieces that neither picture shows clearly and beside which no recognised part lies.
+    fn hidden<'b>(&'b self, claims: &'b [ClaimMap; 2]) -> impl Iterator<Item = &'b [PieceSight; 2]> {
+        let pieces = self.prepared.pose_model.stations.iter().zip(&self.explanation.verdict.pieces);
+        pieces.filter(|(station, _)| !station.at_joint).map(|(_, piece)| piece).filter(move |piece| {
+            piece.iter().zip(claims).all(|(seen, claims)| {
+                let PieceSight { sight, expected_px, across, half_width_px, .. } = seen;
+                let beside = [-1.0, 1.0].map(|side| expected_px + across * (side * 2.0 * half_width_px));
+                !matches!(sight, Sight::Clear)
+                    && !claims.is_claimed_across(expected_px, across)
+                    && !beside.iter().any(|px| claims.is_claimed_at_all(px))
+            })
+        })
+    }
+
     /// Whether it can be taken whatever else there is: it is certain by itself, both pictures show all its wire, so that
     /// nothing lies on it, and no other near it or where the fingers go.
     pub(super) fn stands_alone(&self, pictures: &[Picture; 2], claims: &[ClaimMap; 2]) -> bool {
@@ -130,18 +155,12 @@ impl Taken<'_> {
             && select::is_certain(fit, verdict, model.ends.len())
             && ![0, 1]
                 .into_iter()
-                .any(|side: usize| self.is_met(side, skeleton(&pictures[side]), true, |_| true))
+                .any(|side: usize| self.is_met(side, skeleton(&pictures[side]), &[Near::Fingers, Near::Wire]))
             && !self.is_met_by_mask(pictures, claims)
     }
 
-    /// Whether some of this wire is not the part's own and comes near some of its `pieces`, or the `fingers`.
-    fn is_met(
-        &self,
-        side: usize,
-        wire_px: impl Iterator<Item = Vector2<f64>>,
-        fingers: bool,
-        pieces: impl Fn(&[PieceSight; 2]) -> bool,
-    ) -> bool {
+    /// Whether some of this wire is not the part's own and comes near one of these.
+    fn is_met(&self, side: usize, wire_px: impl Iterator<Item = Vector2<f64>>, near: &[Near]) -> bool {
         let Self { params, rig, prepared, explanation, found } = self;
         let at_mm = found.left_from_part * prepared.part.grasp.position_mm;
         let grasp_px = if side == 0 { rig.project_left(&at_mm) } else { rig.project_right(&at_mm) };
@@ -158,12 +177,13 @@ impl Taken<'_> {
             if !is_within(&grasp_px, far_px) {
                 return false;
             }
-            let beside = |p: &[PieceSight; 2], half_widths: f64| {
-                is_within(&p[side].expected_px, half_widths * half_px)
-            };
-            let meets = fingers && is_within(&grasp_px, fingers_px)
-                || all.iter().any(|p| pieces(p) && beside(p, NEAR_HALF_WIDTHS));
-            meets && !all.iter().any(|p| beside(p, OWN_HALF_WIDTHS))
+            let beside =
+                |reach_px: f64| all.iter().any(|piece| is_within(&piece[side].expected_px, reach_px));
+            let meets = near.iter().any(|near| match near {
+                Near::Fingers => is_within(&grasp_px, fingers_px),
+                Near::Wire => beside(NEAR_HALF_WIDTHS * half_px + CLAIMED_BESIDE_PX),
+            });
+            meets && !beside(OWN_HALF_WIDTHS * half_px)
         });
         // A few pixels beside a claim are none; a wire that comes near is seen over more than that.
         let many = half_px as usize + 1;
@@ -173,13 +193,18 @@ impl Taken<'_> {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Isometry3;
+
     use super::*;
     use crate::frame::FramePair;
     use crate::grasp::Blocked;
     use crate::part::Part;
+    use crate::pose::drawn::DrawnPair;
+    use crate::pose::model::PoseModel;
     use crate::recognize::{Params, Recognition, Recognizer};
     use crate::session::Session;
     use crate::time::Budget;
+    use crate::vision::binarize::ColourRange;
 
     /// A part: whether it can be taken whatever else there is, whether something is in its way, by the masks alone, and why it is
     /// blocked.
@@ -263,5 +288,43 @@ mod tests {
     fn nothing_stands_alone_in_a_heap() {
         let known = of_pair(0);
         assert!(known.iter().flatten().all(|part| !part.alone), "{known:?}");
+    }
+
+    /// Why an upright rod half a metre away is not offered over whose pictures, left and right, something is painted; the
+    /// rod's middle is in row 240.
+    fn blocked_under(paint: impl Fn(usize, usize) -> Option<u8>) -> Option<Blocked> {
+        let rod = Part::read(concat!(env!("CARGO_MANIFEST_DIR"), "/replay/parts/rod-90.toml")).unwrap();
+        let model = PoseModel::new(&rod);
+        let turn = UnitQuaternion::rotation_between(&model.straight_along.unwrap(), &Vector3::y()).unwrap();
+        let pose = Isometry3::from_parts(Vector3::new(0.0, 0.0, 500.0).into(), turn);
+        let mut drawn = DrawnPair::new(&[(&model, pose)]);
+        // The right camera sees it 72 pixels farther left.
+        for (frame, moved) in drawn.frames.iter_mut().zip([0, 72]) {
+            for (k, byte) in frame.bytes.iter_mut().enumerate() {
+                *byte = paint(k % 640 + moved, k / 640).unwrap_or(*byte);
+            }
+        }
+        let [left, right] = drawn.frames;
+        let mut params = Params::default();
+        for range in &mut params.binarize {
+            range.colour = ColourRange::Grey { min: 120, max: 255 };
+        }
+        let mut recognizer = Recognizer::new(params, drawn.rig, vec![rod]).unwrap();
+        let mut out = Recognition::default();
+        recognizer.run(&FramePair { left, right }, Budget::Iterations(100_000), 1, &mut out).unwrap();
+        let [part] = &out.parts[..] else { panic!("{:?}", out.parts) };
+        part.blocked
+    }
+
+    #[test]
+    fn what_lies_on_a_part_and_is_none_is_in_the_way() {
+        let unknown = Some(Blocked::Unknown);
+        assert_eq!(blocked_under(|_, _| None), None);
+        // A cord as dark as the floor, a coin, and wire much thinner than the rod across it, 15 to 25 mm from its middle.
+        assert_eq!(blocked_under(|_, y| (212..217).contains(&y).then_some(40)), unknown, "cord");
+        let coin = |x: usize, y: usize| (x.abs_diff(320).pow(2) + y.abs_diff(215).pow(2) < 64).then_some(190);
+        assert_eq!(blocked_under(coin), unknown, "coin");
+        let wire = |x: usize, y: usize| (x.abs_diff(320) < 30 && (214..216).contains(&y)).then_some(200);
+        assert_eq!(blocked_under(wire), unknown, "wire");
     }
 }
