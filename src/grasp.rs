@@ -348,35 +348,39 @@ pub fn fingers_reach_mm(gripper: &Gripper, grasp: &Grasp) -> f64 {
 fn fingers_fit<'a>(params: &Params, mut others: impl Iterator<Item = &'a Placed<'a>>, grasp: &Grasp) -> bool {
     let gripper = &params.gripper;
     let out_from_left = params.base_from_left.unwrap_or_default();
-    let tool_from_out = grasp.orientation.inverse();
+    let tool_from_out = Isometry3::from_parts(grasp.position_mm.into(), grasp.orientation).inverse();
+    let tool_from_left = tool_from_out * out_from_left;
     let up = if params.base_from_left.is_some() { Vector3::z() } else { -Vector3::z() };
     let retreat = tool_from_out * up * gripper.retreat_mm;
-    !others.any(|other| {
-        let radius = other.model.radius_mm;
-        let tool_from_part = out_from_left * other.left_from_part;
-        let across = grasp.opening_mm / 2.0 + gripper.finger_thickness_mm + radius;
-        let along = gripper.finger_width_mm / 2.0 + radius;
-        let deep = gripper.finger_depth_mm + radius;
-        // In shares of the retreat: while a place, which sinks past the fingers then, is within a distance of their middle.
-        let within = |at: f64, by: f64, mm: f64| {
-            let [a, b] = [(at - mm) / by, (at + mm) / by];
-            match by.abs() < 1e-9 {
-                true if at.abs() < mm => [0.0, 1.0],
-                true => [1.0, 0.0],
-                false => [a.min(b), a.max(b)],
-            }
-        };
-        let is_met = |at: Vector3<f64>| {
-            let [x, y] = [within(at.x, retreat.x, across), within(at.y, retreat.y, along)];
-            let (from, to) = (x[0].max(y[0]).max(0.0), x[1].min(y[1]).min(1.0));
-            // It is deepest at one end of that.
-            let depth = |share: f64| at.z - retreat.z * share;
-            from < to && depth(from).min(depth(to)) < deep
-        };
-        other.model.stations.iter().any(|s| {
-            let at = tool_from_out * (tool_from_part * s.position_mm - grasp.position_mm);
-            let quarter = tool_from_out * (tool_from_part * s.tangent) * (s.length_mm / 4.0);
-            is_met(at - quarter) || is_met(at + quarter)
+    // In shares of the retreat: while a place, which sinks past the fingers then, is within a distance of their middle.
+    let within = |at: f64, by: f64, mm: f64| {
+        let [a, b] = [(at - mm) / by, (at + mm) / by];
+        match by.abs() < 1e-9 {
+            true if at.abs() < mm => [0.0, 1.0],
+            true => [1.0, 0.0],
+            false => [a.min(b), a.max(b)],
+        }
+    };
+    // What is so thick there, in the tool's axes.
+    let is_met = |at: &Vector3<f64>, radius_mm: f64| {
+        let across_mm = grasp.opening_mm / 2.0 + gripper.finger_thickness_mm + radius_mm;
+        let x = within(at.x, retreat.x, across_mm);
+        let y = within(at.y, retreat.y, gripper.finger_width_mm / 2.0 + radius_mm);
+        let (from, to) = (x[0].max(y[0]).max(0.0), x[1].min(y[1]).min(1.0));
+        // It is deepest at one end of that.
+        let depth_mm = |share: f64| at.z - retreat.z * share;
+        from < to && depth_mm(from).min(depth_mm(to)) < gripper.finger_depth_mm + radius_mm
+    };
+    !others.any(|Placed { model, left_from_part, .. }| {
+        let tool_from_part = tool_from_left * *left_from_part;
+        let (turn, shift) = (tool_from_part.rotation.to_rotation_matrix(), tool_from_part.translation);
+        let at = |place: &Point3<f64>| (shift * (turn * place)).coords;
+        let clusters = model.clusters.iter();
+        clusters.filter(|c| is_met(&at(&c.centre_mm), c.reach_mm + model.radius_mm)).any(|cluster| {
+            model.stations[cluster.stations.clone()].iter().any(|s| {
+                let (at, quarter) = (at(&s.position_mm), turn * s.tangent * (s.length_mm / 4.0));
+                is_met(&(at - quarter), model.radius_mm) || is_met(&(at + quarter), model.radius_mm)
+            })
         })
     })
 }
