@@ -2,6 +2,7 @@
 # Installs what the build needs and this machine lacks, with apt, and says what. Asks nothing. What is there stays.
 #   cc, pkg-config    the linker, and crates that build C
 #   libclang          reads the system's headers while v4l and iceoryx2 are built (libclang-cpp is another library)
+#   what is named     commands that are packages of the same name
 # Without apt, or without the right to use it, it says what to install and ends with exit code 1.
 set -euo pipefail
 
@@ -18,6 +19,9 @@ command -v cc >/dev/null || missing+=(gcc libc6-dev)
 command -v pkg-config >/dev/null || missing+=(pkg-config)
 [ -e /usr/include/linux/videodev2.h ] || missing+=(linux-libc-dev)
 has_libclang || missing+=(libclang-dev)
+for command in "$@"; do
+    command -v "$command" >/dev/null || missing+=("$command")
+done
 
 if [ ${#missing[@]} -gt 0 ]; then
     as_root=()

@@ -246,7 +246,7 @@ fn a_cell_gives_everything_and_grasps_are_in_the_base() {
 #[test]
 fn wrong_usage_names_key_value_and_remedy() {
     let pair = ["--left", LEFT, "--right", RIGHT];
-    let cases: [(&[&str], &str); 12] = [
+    let cases: [(&[&str], &str); 13] = [
         (&["--seed", "letters"], "invalid value 'letters' for '--seed <N>': must be a whole number from 0"),
         (&["--seed", "-1"], "invalid value '-1' for '--seed <N>'"),
         (&["--color-min", "1,2"], "must be three whole numbers from 0 to 255"),
@@ -259,8 +259,9 @@ fn wrong_usage_names_key_value_and_remedy() {
         (&["--color", "auto", "--grey-min", "3"], "cannot be used with"),
         (&["--region-px", "0,0", "700,0", "700,400"], "(700, 0), outside the 640x480 picture"),
         (&["--region-px", "0,0", "9,x", "7,4"], "must be two numbers, x,y in pixels"),
-        (&["--threads", "3"], "3 is not in 1..=2"),
-        (&["--repeat", "0"], "0 is not in 1.."),
+        (&["--threads", "3"], "must be a whole number from 1 to 2"),
+        (&["--repeat", "0"], "must be a whole number from 1 to"),
+        (&["--iterations", "-5"], "invalid value '-5' for '--iterations <N>': must be a whole number from 1"),
         (
             &["--search", "magic"],
             "[possible values: auto, harmony, improved, self-adaptive, random, exhaustive]",
@@ -301,16 +302,18 @@ fn a_pair_without_time_or_iterations_offers_nothing_and_says_so() {
 
 /// A file of this name and content in a folder of its own.
 #[test]
-fn an_overlay_takes_the_place_of_no_picture_that_is_read() {
+fn overlay_and_stages_take_the_place_of_no_picture_that_is_read() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
-    let [left, right] = [("l.png", LEFT), ("r.png", RIGHT)].map(|(name, picture)| {
+    let [left, right] = [("left-binary.png", LEFT), ("r.png", RIGHT)].map(|(name, picture)| {
         fs::copy(format!("{ROOT}/{picture}"), at(name)).unwrap();
         at(name)
     });
     let before = fs::read(&left).unwrap();
     let to = |overlay: &str| recognize(&["--left", &left, "--right", &right, "--overlay", overlay]);
-    assert!(refusal(&to(&left), 2).contains("l.png: this file is read; give another name"));
+    assert!(refusal(&to(&left), 2).contains("left-binary.png: this file is read; give another name"));
+    let stages = recognize(&["--left", &left, "--right", &right, "--stages", &at("")]);
+    assert!(refusal(&stages, 2).contains("left-binary.png: this file is read; give another folder"));
     assert!(refusal(&to(&at("o.jpg")), 2).contains("o.jpg: it is a png; give a name that ends so"));
     assert!(fs::read(&left).unwrap() == before && !Path::new(&at("o.jpg")).exists());
     let output = to(&at("o.png"));
@@ -323,6 +326,12 @@ fn file(folder: &tempfile::TempDir, name: &str, bytes: &[u8]) -> String {
     let path = folder.path().join(name);
     fs::write(&path, bytes).unwrap();
     path.to_str().unwrap().to_owned()
+}
+
+#[test]
+fn one_picture_for_both_cameras_is_refused() {
+    let message = refusal(&recognize(&["--left", LEFT, "--right", LEFT]), 2);
+    assert!(message.contains("the left and the right picture are the same"), "{message}");
 }
 
 #[test]

@@ -7,6 +7,7 @@ use crate::accuracy::score::{Score, Verdict};
 use crate::accuracy::truth::{self, Scene, SceneSet, Truth};
 use crate::commands::pictures::{PairFiles, read_pair};
 use crate::commands::recognize::output::PairResult;
+use crate::commands::whole;
 use crate::files::write_atomically;
 use crate::part::Part;
 use crate::recognize::{Params, Recognition, Recognizer};
@@ -28,7 +29,7 @@ pub struct Accuracy {
     #[arg(long)]
     pub parts: Option<PathBuf>,
     /// Iterations of the search.
-    #[arg(long, default_value_t = 1_000_000, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, default_value_t = 1_000_000, allow_hyphen_values = true, value_parser = whole::<u64>(1, u64::MAX))]
     pub iterations: u64,
     /// Random seed.
     #[arg(long, default_value_t = 1)]

@@ -134,7 +134,7 @@ impl Check<'_> {
         let name = file.name;
         let mut part = Part { name, thickness_mm, bend_radius_mm, nodes, edges, grasp, symmetries };
         self.graph(&mut part)?;
-        self.lengths(&part)?;
+        self.lengths(&part, file.bend_radius_mm)?;
         self.grasp_on_wire(&part)?;
         part.symmetries = part.find_symmetries();
         Ok(part)
@@ -267,7 +267,7 @@ impl Check<'_> {
     }
 
     /// No stretch of an edge is without length, folds back on itself, or is shorter than the wire is thick.
-    fn lengths(&self, part: &Part) -> Result<(), PartError> {
+    fn lengths(&self, part: &Part, bend_radius_mm: Option<f64>) -> Result<(), PartError> {
         for (i, edge) in part.edges.iter().enumerate() {
             let (from, to) = (&part.nodes[edge.from], &part.nodes[edge.to]);
             let mut corners = vec![from.position_mm];
@@ -283,6 +283,11 @@ impl Check<'_> {
             if legs.windows(2).any(|l| l[0].angle(&l[1]) > 3.1) {
                 return Err(self
                     .shape(format!("{name} turns back on itself at a via; a bend is at most 177 degrees")));
+            }
+            let fits_mm = bend_radius_max_mm(&legs);
+            if bend_radius_mm.is_some_and(|radius_mm| radius_mm > fits_mm + 1e-3) {
+                let problem = format!("does not fit between the legs of {name}; at most {fits_mm:.2} does");
+                return Err(self.value("bend_radius_mm", part.bend_radius_mm, &problem));
             }
             let length = part.edge_length_mm(i);
             if length < part.thickness_mm {
@@ -364,4 +369,14 @@ impl Check<'_> {
 
 fn reversed(edge: &PartEdge) -> PartEdge {
     PartEdge { from: edge.to, to: edge.from, via: edge.via.iter().rev().copied().collect() }
+}
+
+/// Largest radius of bends that all fit between these legs, where an inner leg gives half of its length to each.
+fn bend_radius_max_mm(legs: &[Vector3<f64>]) -> f64 {
+    let given_mm = |k: usize| {
+        let is_inner = k > 0 && k + 1 < legs.len();
+        legs[k].norm() * if is_inner { 0.5 } else { 1.0 }
+    };
+    let radius_mm = |k: usize| given_mm(k).min(given_mm(k + 1)) / (legs[k].angle(&legs[k + 1]) / 2.0).tan();
+    (0..legs.len() - 1).map(radius_mm).fold(f64::INFINITY, f64::min)
 }

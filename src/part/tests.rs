@@ -84,6 +84,20 @@ fn the_radius_shrinks_where_the_legs_are_short() {
 }
 
 #[test]
+fn a_bend_must_fit_between_its_legs() {
+    let file = format!("{}/replay/parts/hook.toml", env!("CARGO_MANIFEST_DIR"));
+    let text = fs::read_to_string(file).unwrap();
+    let with = |radius_mm: f64| {
+        let radius = format!("thickness_mm = 2.5\nbend_radius_mm = {radius_mm:?}");
+        Part::parse(&text.replace("thickness_mm = 2.5", &radius), "hook.toml")
+    };
+    assert!(with(25.0).is_ok());
+    let refused = with(25.1).unwrap_err().to_string();
+    assert!(refused.contains("bend_radius_mm = 25.1: does not fit between the legs of edge 1"), "{refused}");
+    assert!(refused.contains("at most 25.00"), "{refused}");
+}
+
+#[test]
 fn what_is_wrong_in_a_part_file_is_named() {
     let text = fs::read_to_string(format!("{}/replay/parts/tee.toml", env!("CARGO_MANIFEST_DIR"))).unwrap();
     let cases = [

@@ -254,7 +254,12 @@ impl Recognizer {
                 stages.with(&of_right, |left, right| left + right);
             }
         }
-        Picture::agree(&mut self.pictures, [&pair.left, &pair.right], stages)
+        Picture::agree(&mut self.pictures, [&pair.left, &pair.right], stages)?;
+        let is_empty = self.pictures.iter().any(|picture| picture.graph().edges.is_empty());
+        if !is_empty && pair.left.bytes == pair.right.bytes {
+            return Err(Refusal::Same);
+        }
+        Ok(())
     }
 
     /// Fills the pool with rough poses of all parts, fittest first: those of matches, and those that single nodes hold

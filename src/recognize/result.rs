@@ -31,6 +31,9 @@ pub enum Refusal {
         /// The calibration's.
         rig_height: usize,
     },
+    /// Both pictures are the same, byte by byte, and not empty: what is seen in them has no depth.
+    #[error("the left and the right picture are the same: give each camera its own path")]
+    Same,
     /// A compressed picture that cannot be decoded.
     #[error("{side} picture cannot be decoded: damaged, cut short or of another size")]
     Damaged {

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
+use crate::commands::whole;
 use crate::config::{Gate, SearchMethod};
 use crate::vision::thin::Algorithm;
 
@@ -71,7 +72,7 @@ pub struct RecognizeArgs {
     #[arg(long, value_name = "X,Y", value_parser = corner, num_args = 3.., help_heading = "Pixels")]
     pub region_px: Option<Vec<[f32; 2]>>,
     /// Connected specks of fewer pixels are dropped [default: 20]
-    #[arg(long, value_name = "PIXELS", help_heading = "Pixels")]
+    #[arg(long, value_name = "PIXELS", allow_hyphen_values = true, value_parser = whole::<u32>(0, u32::MAX.into()), help_heading = "Pixels")]
     pub min_speck_px: Option<u32>,
     /// Thinning [default: zhang-suen]
     #[arg(long, value_enum, help_heading = "Pixels")]
@@ -87,16 +88,16 @@ pub struct RecognizeArgs {
     #[arg(long, value_name = "MS", allow_hyphen_values = true, value_parser = milliseconds, conflicts_with = "iterations", help_heading = "Search")]
     pub deadline_ms: Option<f64>,
     /// A count of search iterations in place of a deadline: the same result on every machine
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = "Search")]
+    #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = whole::<u64>(1, u64::MAX), help_heading = "Search")]
     pub iterations: Option<u64>,
     /// Seed of all randomness [default: 1]
-    #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = seed, help_heading = "Search")]
+    #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = whole::<u64>(0, u64::MAX), help_heading = "Search")]
     pub seed: Option<u64>,
     /// Threads for the two pictures of a pair: with 2 they are worked on at the same time [default: 1]
-    #[arg(long, value_name = "1|2", value_parser = clap::value_parser!(u8).range(1..=2), help_heading = "Search")]
+    #[arg(long, value_name = "1|2", allow_hyphen_values = true, value_parser = whole::<u8>(1, 2), help_heading = "Search")]
     pub threads: Option<u8>,
     /// Recognise every pair so many times and give p50 and p99 of every stage
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=10_000_000), help_heading = "Search")]
+    #[arg(long, value_name = "N", default_value_t = 1, allow_hyphen_values = true, value_parser = whole::<u32>(1, 10_000_000), help_heading = "Search")]
     pub repeat: u32,
 
     /// Write both pictures with the result on top; with --pairs see --stages
@@ -217,8 +218,4 @@ fn milliseconds(text: &str) -> Result<f64, String> {
     let allowed = |ms: &f64| ms.is_finite() && *ms > 0.0 && *ms <= 3_600_000.0;
     let ms: Option<f64> = text.parse().ok().filter(allowed);
     ms.ok_or_else(|| "must be a number of milliseconds above 0 and at most 3600000".to_owned())
-}
-
-fn seed(text: &str) -> Result<u64, String> {
-    text.parse().map_err(|_| format!("must be a whole number from 0 to {}", u64::MAX))
 }

@@ -100,6 +100,12 @@ pub enum RecognizeError {
         /// Why not, and what to do.
         problem: &'static str,
     },
+    /// The pictures of the stages would take the place of an input.
+    #[error("--stages: {}: this file is read; give another folder", path.display())]
+    Stages {
+        /// The input.
+        path: PathBuf,
+    },
     /// A result that cannot be written.
     #[error("{}: cannot be written: {source}; nothing of it was kept", path.display())]
     Write {

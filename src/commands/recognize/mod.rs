@@ -32,6 +32,9 @@ pub fn run(args: &RecognizeArgs) -> Result<(), RecognizeError> {
     if let Some(path) = &args.overlay {
         check_overlay(path, args)?;
     }
+    if let Some(folder) = &args.stages {
+        check_stages(folder, args)?;
+    }
     let setup = Setup::new(args)?;
     let recognizer = Recognizer::new(setup.params.clone(), setup.rig, setup.parts.clone());
     let mut recognizer = recognizer.map_err(|error| match &setup.region_of {
@@ -63,6 +66,16 @@ pub fn run(args: &RecognizeArgs) -> Result<(), RecognizeError> {
 
 /// Name of a pair's results.
 const RESULTS: &str = "results.json";
+/// Names of what the stages saw: binary, skeleton and graph of the left picture, of the right one, and both with the result.
+const STAGE_PICTURES: [&str; 7] = [
+    "left-binary.png",
+    "left-skeleton.png",
+    "left-graph.png",
+    "right-binary.png",
+    "right-skeleton.png",
+    "right-graph.png",
+    "overlay.png",
+];
 
 /// Whether the overlay may be written to `path`: it takes the place of nothing that is read.
 fn check_overlay(path: &Path, args: &RecognizeArgs) -> Result<(), RecognizeError> {
@@ -70,13 +83,25 @@ fn check_overlay(path: &Path, args: &RecognizeArgs) -> Result<(), RecognizeError
     if !path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("png")) {
         return refused("it is a png; give a name that ends so");
     }
-    let inputs =
-        args.left.iter().chain(&args.right).chain(&args.cell).chain(&args.calibration).chain(&args.parts);
-    let Ok(there) = path.canonicalize() else { return Ok(()) };
-    match inputs.filter_map(|input| input.canonicalize().ok()).any(|input| input == there) {
+    match is_read(path, args) {
         true => refused("this file is read; give another name"),
         false => Ok(()),
     }
+}
+
+/// Whether the pictures of the stages may be written into `folder`: they take the place of nothing that is read.
+fn check_stages(folder: &Path, args: &RecognizeArgs) -> Result<(), RecognizeError> {
+    match STAGE_PICTURES.iter().map(|name| folder.join(name)).find(|path| is_read(path, args)) {
+        Some(path) => Err(RecognizeError::Stages { path }),
+        None => Ok(()),
+    }
+}
+
+fn is_read(path: &Path, args: &RecognizeArgs) -> bool {
+    let inputs =
+        args.left.iter().chain(&args.right).chain(&args.cell).chain(&args.calibration).chain(&args.parts);
+    let mut inputs = inputs.filter_map(|input| input.canonicalize().ok());
+    path.canonicalize().is_ok_and(|there| inputs.any(|input| input == there))
 }
 
 /// Removes what an earlier run wrote, so that it does not seem to be from this one.
@@ -100,6 +125,9 @@ impl Job<'_> {
     fn pair(&mut self, pair: &PairFiles) -> Result<(), RecognizeError> {
         if let Some(folder) = &self.args.out {
             remove_file(&folder.join(&pair.name).join(RESULTS))?;
+        }
+        if let Some(folder) = self.stages_folder(pair) {
+            STAGE_PICTURES.iter().try_for_each(|name| remove_file(&folder.join(name)))?;
         }
         let (frames, paths) = read_pair(pair, &self.setup.rig)?;
         self.runs.clear();
@@ -141,18 +169,22 @@ impl Job<'_> {
             let folder = path.parent().unwrap_or(Path::new(""));
             write_png(folder, &path.file_name().unwrap_or_default().to_string_lossy(), &overlay)?;
         }
-        let Some(folder) = &self.args.stages else { return Ok(()) };
-        let folder = if self.setup.many { folder.join(&pair.name) } else { folder.clone() };
-        for (side, picture) in ["left", "right"].into_iter().zip(self.recognizer.pictures()) {
-            write_png(&folder, &format!("{side}-binary.png"), &stages::bits(picture.whole_mask()))?;
-            write_png(&folder, &format!("{side}-skeleton.png"), &stages::bits(picture.skeleton()))?;
-            write_png(
-                &folder,
-                &format!("{side}-graph.png"),
-                &stages::graph(picture.mask(), picture.graph()),
-            )?;
-        }
-        write_png(&folder, "overlay.png", &overlay)
+        let Some(folder) = self.stages_folder(pair) else { return Ok(()) };
+        let of_sides = self.recognizer.pictures().each_ref().map(|picture| {
+            [
+                stages::bits(picture.whole_mask()),
+                stages::bits(picture.skeleton()),
+                stages::graph(picture.mask(), picture.graph()),
+            ]
+        });
+        let pictures = of_sides.iter().flatten().chain([&overlay]);
+        STAGE_PICTURES.iter().zip(pictures).try_for_each(|(name, picture)| write_png(&folder, name, picture))
+    }
+
+    /// Where the pictures of a pair's stages go, where asked for.
+    fn stages_folder(&self, pair: &PairFiles) -> Option<PathBuf> {
+        let folder = self.args.stages.as_ref()?;
+        Some(if self.setup.many { folder.join(&pair.name) } else { folder.clone() })
     }
 
     fn overlay(&self, raw: &[Frame; 2]) -> Canvas {

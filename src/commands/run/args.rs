@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
+use crate::commands::whole;
+
 /// Run the cell: cameras in, grasp targets out to the arm
 ///
 /// Prints a line for every frame pair and a table at the end; draws an overlay picture a pair of a recorded session.
@@ -20,7 +22,7 @@ pub struct RunArgs {
     #[arg(long, value_name = "FILE", default_value = "cell.toml")]
     pub cell: PathBuf,
     /// Budget of every search in iterations instead of the time that the deadline leaves, and of those of a recording
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = whole::<u64>(1, u64::MAX))]
     pub iterations: Option<u64>,
     /// Seed of all searches instead of the cell's and those of a recording
     #[arg(long)]
@@ -43,7 +45,7 @@ pub struct RunArgs {
     pub wait: bool,
     /// Endurance test: repeat the recorded session until so many pairs were played, print no lines, fail (exit
     /// code 1) on a missed deadline or growing memory. Where the cell sets no deadline, it is one period of --rate
-    #[arg(long, value_name = "PAIRS", value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
+    #[arg(long, value_name = "PAIRS", allow_hyphen_values = true, value_parser = whole::<u64>(1, 100_000_000))]
     pub soak: Option<u64>,
     /// Decode the JPEG pictures of a recorded session beforehand, as cameras without compression deliver them
     #[arg(long)]
