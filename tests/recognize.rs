@@ -261,7 +261,7 @@ fn wrong_usage_names_key_value_and_remedy() {
         (&["--region-px", "0,0", "9,x", "7,4"], "must be two numbers, x,y in pixels"),
         (&["--threads", "3"], "must be a whole number from 1 to 2"),
         (&["--repeat", "0"], "must be a whole number from 1 to"),
-        (&["--iterations", "-5"], "invalid value '-5' for '--iterations <N>': must be a whole number from 1"),
+        (&["--min-speck-px", "-5"], "'-5' for '--min-speck-px <PIXELS>': must be a whole number from 0"),
         (
             &["--search", "magic"],
             "[possible values: auto, harmony, improved, self-adaptive, random, exhaustive]",
