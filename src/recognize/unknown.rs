@@ -1,8 +1,8 @@
 //! Wire that no recognised part has, and the parts that it is in the way of.
 //!
 //! Such wire is a part that was missed, or none of those that are looked for. Where both pictures show it at the fingers
-//! of a grasp, or beside the part, the part is left; so it is where neither picture shows its wire and nothing known lies there. Was not all wire looked at, because
-//! time was over, much is unknown, and only a part that stands alone is taken.
+//! of a grasp, or beside the part, the part is left; so it is where neither picture shows its wire and nothing known lies
+//! there. Was not all wire looked at, because time was over, much is unknown, and only a part that stands alone is taken.
 
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 
@@ -138,7 +138,7 @@ impl Taken<'_> {
             piece.iter().zip(claims).all(|(seen, claims)| {
                 let PieceSight { sight, expected_px, across, half_width_px, .. } = seen;
                 let beside = [-1.0, 1.0].map(|side| expected_px + across * (side * 2.0 * half_width_px));
-                !matches!(sight, Sight::Clear)
+                *sight != Sight::Clear
                     && !claims.is_claimed_across(expected_px, across)
                     && !beside.iter().any(|px| claims.is_claimed_at_all(px))
             })
