@@ -146,10 +146,12 @@ const BESIDE_MIN: f64 = 0.6;
 
 /// Direction straight down in the left camera's frame.
 pub fn down_in_left(params: &Params) -> Vector3<f64> {
-    match &params.base_from_left {
-        Some(base_from_left) => base_from_left.rotation.inverse() * -Vector3::z(),
-        None => Vector3::z(),
-    }
+    params.base_from_left.unwrap_or_default().rotation.inverse() * down(params)
+}
+
+/// Direction straight down in the frame of the grasps.
+fn down(params: &Params) -> Vector3<f64> {
+    if params.base_from_left.is_some() { -Vector3::z() } else { Vector3::z() }
 }
 
 /// How far apart the fingers are when they come down on a part.
@@ -161,7 +163,7 @@ pub fn opening_mm(gripper: &Gripper, part: &Part) -> f64 {
 pub fn grasp_of(params: &Params, placed: &Placed) -> Grasp {
     let out_from_left = params.base_from_left.unwrap_or_default();
     let out_from_part = out_from_left * placed.left_from_part;
-    let down = if params.base_from_left.is_some() { -Vector3::z() } else { Vector3::z() };
+    let down = down(params);
     let file = &placed.part.grasp;
     let wire = (out_from_part * file.approach.cross(&file.closing)).normalize();
     let as_filed = out_from_part * file.approach.into_inner();
@@ -196,11 +198,11 @@ pub fn blocked<'a>(
     for (k, first) in all.iter().enumerate() {
         for (other, second) in all[..k].iter().enumerate() {
             let crossing = crossing(params, first, second);
-            for (lower, upper_is_sure) in [(other, crossing.first_over), (k, crossing.second_over)] {
-                if upper_is_sure {
-                    why[lower] = Some(Blocked::Covered);
+            for (index, is_covered) in [(other, crossing.first_over), (k, crossing.second_over)] {
+                if is_covered {
+                    why[index] = Some(Blocked::Covered);
                 } else if crossing.is_unclear {
-                    why[lower].get_or_insert(Blocked::Uncertain);
+                    why[index].get_or_insert(Blocked::Uncertain);
                 }
             }
         }
@@ -350,8 +352,7 @@ fn fingers_fit<'a>(params: &Params, mut others: impl Iterator<Item = &'a Placed<
     let out_from_left = params.base_from_left.unwrap_or_default();
     let tool_from_out = Isometry3::from_parts(grasp.position_mm.into(), grasp.orientation).inverse();
     let tool_from_left = tool_from_out * out_from_left;
-    let up = if params.base_from_left.is_some() { Vector3::z() } else { -Vector3::z() };
-    let retreat = tool_from_out * up * gripper.retreat_mm;
+    let retreat = tool_from_out * -down(params) * gripper.retreat_mm;
     // In shares of the retreat: while a place, which sinks past the fingers then, is within a distance of their middle.
     let within = |at: f64, by: f64, mm: f64| {
         let [a, b] = [(at - mm) / by, (at + mm) / by];

@@ -32,7 +32,7 @@ pub struct Accuracy {
     #[arg(long, default_value_t = 1_000_000, allow_hyphen_values = true, value_parser = whole::<u64>(1, u64::MAX))]
     pub iterations: u64,
     /// Random seed.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, allow_hyphen_values = true, value_parser = whole::<u64>(0, u64::MAX))]
     pub seed: u64,
     /// As if the right camera had turned since the rig was calibrated, by so many pixels across the baseline.
     #[arg(long, value_name = "PX", default_value_t = 0.0, allow_negative_numbers = true, value_parser = turned_px)]

@@ -156,7 +156,7 @@ pub fn unclaimed_overrun_mm(model: &PoseModel, verdict: &Verdict, claims: &[Clai
     })
 }
 
-/// Ends that are all farther than this from where they should be, but for one, are not those of the part.
+/// Where more than one end is seen this far from where it should be, they are not those of the part.
 const END_OFFSET_PX_MAX: f64 = 1.5;
 
 /// Whether a part is proved to lie there: the pictures do not contradict its pose, and it cannot have slid along itself, for

@@ -105,10 +105,7 @@ fn stretches(corners: &[Point3<f64>], radius: f64) -> Vec<Stretch> {
     for (i, leg) in legs.iter().enumerate() {
         let direction = leg.normalize();
         let bend = legs.get(i + 1).and_then(|next| {
-            // what of both legs may be rounded off
-            let here = if i == 0 { leg.norm() } else { 0.5 * leg.norm() };
-            let there = if i + 2 == legs.len() { next.norm() } else { 0.5 * next.norm() };
-            bend(corners[i + 1], direction, next.normalize(), radius, here.min(there))
+            bend(corners[i + 1], direction, next.normalize(), radius, rounded_off_mm(&legs, i))
         });
         let cut = bend.as_ref().map_or(0.0, |b| b.cut);
         let end = corners[i + 1] - direction * cut;
@@ -123,6 +120,21 @@ fn stretches(corners: &[Point3<f64>], radius: f64) -> Vec<Stretch> {
         }
     }
     all
+}
+
+/// What of both legs may be rounded off where the one at this index meets the next: an inner leg gives half to each end.
+fn rounded_off_mm(legs: &[Vector3<f64>], index: usize) -> f64 {
+    let given_mm = |k: usize| {
+        let is_inner = k > 0 && k + 1 < legs.len();
+        legs[k].norm() * if is_inner { 0.5 } else { 1.0 }
+    };
+    given_mm(index).min(given_mm(index + 1))
+}
+
+/// Largest radius with which all corners between these legs can be rounded.
+pub(super) fn bend_radius_max_mm(legs: &[Vector3<f64>]) -> f64 {
+    let radius_mm = |k: usize| rounded_off_mm(legs, k) / (legs[k].angle(&legs[k + 1]) / 2.0).tan();
+    (0..legs.len() - 1).map(radius_mm).fold(f64::INFINITY, f64::min)
 }
 
 /// An arc in a corner.

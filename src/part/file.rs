@@ -7,6 +7,7 @@ use firmware_bridge::outside::read_text;
 use nalgebra::{Point3, Unit, Vector3};
 use serde::Deserialize;
 
+use super::centreline::bend_radius_max_mm;
 use super::{
     ANCHORS_MAX, BEND_RADIUS_PER_THICKNESS, EDGES_MAX, NODES_MAX, NodeKind, Part, PartEdge, PartError,
     PartGrasp, PartNode,
@@ -369,14 +370,4 @@ impl Check<'_> {
 
 fn reversed(edge: &PartEdge) -> PartEdge {
     PartEdge { from: edge.to, to: edge.from, via: edge.via.iter().rev().copied().collect() }
-}
-
-/// Largest radius of bends that all fit between these legs, where an inner leg gives half of its length to each.
-fn bend_radius_max_mm(legs: &[Vector3<f64>]) -> f64 {
-    let given_mm = |k: usize| {
-        let is_inner = k > 0 && k + 1 < legs.len();
-        legs[k].norm() * if is_inner { 0.5 } else { 1.0 }
-    };
-    let radius_mm = |k: usize| given_mm(k).min(given_mm(k + 1)) / (legs[k].angle(&legs[k + 1]) / 2.0).tan();
-    (0..legs.len() - 1).map(radius_mm).fold(f64::INFINITY, f64::min)
 }

@@ -25,7 +25,7 @@ pub struct RunArgs {
     #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = whole::<u64>(1, u64::MAX))]
     pub iterations: Option<u64>,
     /// Seed of all searches instead of the cell's and those of a recording
-    #[arg(long)]
+    #[arg(long, allow_hyphen_values = true, value_parser = whole::<u64>(0, u64::MAX))]
     pub seed: Option<u64>,
     /// Folder of the overlay pictures
     #[arg(long, value_name = "DIR", default_value = "out")]
