@@ -189,7 +189,7 @@ fn pictures_of_thick_wire_are_halved_and_a_turned_camera_allowed_for_without_an_
         ..c
     };
     let rig = Rig { left: twice(left), right: twice(right), right_from_left };
-    let rig = rig.with_right_turned(&Vector3::new(0.5 / right.fy, 0.0, 0.0));
+    let rig = rig.with_right_turned(&Vector3::new(4.0 / right.fy, 0.0, 0.0));
     let rod = Part::read(replay.join("parts/rod-90.toml")).unwrap();
     let mut recognizer = Recognizer::new(Default::default(), rig, vec![rod]).unwrap();
     let pairs: Vec<FramePair> = session.pairs[..3]

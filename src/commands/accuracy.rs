@@ -46,8 +46,8 @@ pub struct Accuracy {
 }
 
 fn turned_px(text: &str) -> Result<f64, String> {
-    let px = text.parse::<f64>().ok().filter(|px| px.abs() <= 10.0);
-    px.ok_or_else(|| "allowed: pixels, -10 to 10".to_owned())
+    let px = text.parse::<f64>().ok().filter(|px| px.abs() <= 30.0);
+    px.ok_or_else(|| "allowed: pixels, -30 to 30".to_owned())
 }
 
 /// Runs the command; gives the exit code.

@@ -38,6 +38,7 @@ mod turned;
 mod unexplained;
 mod unknown;
 mod views;
+mod votes;
 
 use nalgebra::{Isometry3, Vector3};
 
@@ -61,10 +62,11 @@ use crate::vision::ridge::{self, Ridges};
 use explanations::{Explanations, Scene};
 pub use params::Params;
 use prepared::Prepared;
-pub use result::{FoundNode, FoundPart, NoPick, Recognition, Refusal, Seen, Side, StageTimes, Turned};
+pub use result::{Doubt, FoundNode, FoundPart, NoPick, Recognition, Refusal, Seen, Side, StageTimes, Turned};
 use unexplained::{is_claimed, unexplained_px};
 use unknown::Unknown;
 use views::{lit, outline_256, views};
+use votes::Votes;
 
 /// Shares of the time that is left each time, in each go at a pair: for the search, for looking at what it found, which takes about as long, and
 /// for the competition. The rest is for the grasps.
@@ -83,7 +85,10 @@ pub struct Recognizer {
     /// Of the pictures as they are, and halved once, twice and so on; the right camera turned as is allowed for.
     scales: Vec<Scale>,
     parts: Vec<Prepared>,
+    /// Of the thinnest part and of the thickest.
+    thickness_mm: [f64; 2],
     pictures: [Picture; 2],
+    votes: Votes,
     search: Search,
     pool: Vec<Hypothesis>,
     lines: Lines,
@@ -129,9 +134,14 @@ impl Recognizer {
         let cameras = halvings(rig.left).zip(halvings(rig.right));
         let scales = cameras.map(|(left, right)| Scale::new(Rig { left, right, ..rig }, params.ridges));
         let scales = scales.collect();
-        let depth_mm = depth_mm(&rig, &parts);
+        let thickness_mm = parts.iter().map(|part| part.thickness_mm);
+        let thickness_mm =
+            [thickness_mm.clone().fold(f64::INFINITY, f64::min), thickness_mm.fold(0.0, f64::max)];
+        let depth_mm = depth_mm(&rig, thickness_mm[1]);
         let parts: Vec<Prepared> = parts.into_iter().map(Prepared::new).collect();
         Ok(Self {
+            votes: Votes::new(thickness_mm, depth_mm),
+            thickness_mm,
             search: Search::new(params.search, GateParams { depth_mm, ..params.gate }, parts.len()),
             pool: Vec::with_capacity(HYPOTHESES_MAX),
             lines: Lines::new(lines::Params { depth_mm, ..params.lines }, params.ridges.stretches_max),
@@ -186,11 +196,14 @@ impl Recognizer {
         *out = Recognition { parts: std::mem::take(&mut out.parts), seed, ..Recognition::default() };
         let mut stages = StageTimes::default();
         self.look(pair, &mut stages)?;
+        let looked_at = Timestamp::now();
+        let told_by_ends = self.turn_told_by_ends()?;
+        stages.match_ns = Timestamp::now().since(looked_at).max(0) as u64;
         let nodes = |p: &Picture| p.graph().nodes.len();
         (out.nodes_left, out.nodes_right) = (nodes(&self.pictures[0]), nodes(&self.pictures[1]));
         let (looking, exchanging) = (budget.looks(LOOK_SHARE), budget.exchanges(COMPETE_SHARE));
         let mut job = Job { pair, budget, seed, looking, exchanging, stages };
-        let in_time = self.recognise_turned(&mut job, out);
+        let in_time = self.recognise_turned(told_by_ends, &mut job, out);
         let Job { looking, exchanging, mut stages, .. } = job;
         (out.spent.looks, out.spent.exchanges) = (looking.rang_after(), exchanging.rang_after());
         out.out_of_time |= !in_time;
@@ -265,17 +278,15 @@ impl Recognizer {
     /// Fills the pool with rough poses of all parts, fittest first: those of matches, and those that single nodes hold
     /// with the wire that leaves them. A single node costs an iteration of the budget.
     fn search(&mut self, budget: Budget, seed: u64, out: &mut Recognition) {
-        let Self { pictures, scales, parts, search, pool, params, .. } = self;
+        let Self { pictures, scales, parts, thickness_mm, search, pool, params, .. } = self;
         let rig = rig_of(scales, pictures);
         let [left, right] = [pictures[0].nodes(), pictures[1].nodes()];
         pool.clear();
-        let thickness = parts.iter().map(|p| p.part.thickness_mm);
-        let thickness_mm = [thickness.clone().fold(f64::INFINITY, f64::min), thickness.fold(0.0, f64::max)];
         let judge_of = |part: usize| parts[part].judge(rig, pictures, params);
         let down = grasp::down_in_left(&params.grasp);
         let may_lie =
             |part: usize, pose: &Isometry3<f64>| !parts[part].is_too_steep(pose, &down, params.slope_rad_max);
-        search.begin(rig, left, right, thickness_mm);
+        search.begin(rig, left, right, *thickness_mm);
         search.run_exact(judge_of, budget);
         let mut used = search.iterations();
         out.out_of_time = search.is_out_of_time();
@@ -400,13 +411,12 @@ impl Recognizer {
 
     /// Finds out at which level outlines are to be taken.
     fn judge_gloss(&mut self, pair: &FramePair) {
-        let Self { pictures, scales, parts, search, params, gloss, .. } = self;
+        let Self { pictures, scales, thickness_mm, search, params, gloss, .. } = self;
         let rig = rig_of(scales, pictures);
-        let thinnest_mm = parts.iter().map(|p| p.part.thickness_mm).fold(f64::INFINITY, f64::min);
         let graphs = pictures.each_ref().map(Picture::graph);
         let nodes = search.near_nodes().map(|(_, node)| node);
         self.outline_256 = views(pictures, rig, pair, params, HALF_WAY)
-            .map_or(HALF_WAY, |views| outline_256(gloss, &views, graphs, nodes, thinnest_mm));
+            .map_or(HALF_WAY, |views| outline_256(gloss, &views, graphs, nodes, thickness_mm[0]));
     }
 
     /// Holds the pool's hypotheses against both pictures, for the first time or `again`; says whether all of them.
@@ -443,8 +453,7 @@ struct Job<'a> {
 
 /// How far away parts can be seen at all: not nearer than half the baseline, where no lens shows both cameras the same, and
 /// not so far that the thickest is thinner than a pixel.
-fn depth_mm(rig: &Rig, parts: &[Part]) -> [f64; 2] {
-    let thickest_mm = parts.iter().map(|part| part.thickness_mm).fold(0.0, f64::max);
+fn depth_mm(rig: &Rig, thickest_mm: f64) -> [f64; 2] {
     let focal_px = [rig.left, rig.right].iter().flat_map(|c| [c.fx, c.fy]).fold(0.0, f64::max);
     [rig.right_from_left.translation.vector.norm() / 2.0, focal_px * thickest_mm]
 }

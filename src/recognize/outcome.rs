@@ -51,7 +51,7 @@ impl Recognizer {
         let mut blocked = [None; PARTS_MAX];
         grasp::blocked(&params.grasp, &placed, out.parts.iter().map(|f| &f.grasp), &mut blocked);
         drop(placed);
-        let turned = out.turned.is_some_and(|turned| turned.in_doubt).then_some(Blocked::Turned);
+        let turned = out.turned.is_some_and(|turned| turned.doubt.is_some()).then_some(Blocked::Turned);
         unknown.find(pictures, explanations.claims());
         for ((found, blocked), explanation) in out.parts.iter_mut().zip(blocked).zip(explanations.standing())
         {

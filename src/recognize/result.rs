@@ -34,6 +34,9 @@ pub enum Refusal {
     /// Both pictures are the same, byte by byte, and not empty: what is seen in them has no depth.
     #[error("the left and the right picture are the same: give each camera its own path")]
     Same,
+    /// Ends of wire lie where they would if each picture were the other camera's.
+    #[error("the left and the right picture are exchanged: give each camera the other's path")]
+    Exchanged,
     /// A compressed picture that cannot be decoded.
     #[error("{side} picture cannot be decoded: damaged, cut short or of another size")]
     Damaged {
@@ -193,7 +196,10 @@ impl StageTimes {
 
 impl std::fmt::Display for Turned {
     fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
-        let Self { rows_px, rim_px, .. } = self;
+        let Self { rows_px, rim_px, doubt, .. } = self;
+        if *doubt == Some(Doubt::EndsApart) {
+            return write!(f, "the cameras do not stand as they were calibrated");
+        }
         write!(
             f,
             "the right camera has turned since it was calibrated: {rows_px:+.2} px across the baseline, "
@@ -237,11 +243,31 @@ pub struct Turned {
     pub rim_px: f64,
     /// Its standard deviation.
     pub rim_sigma_px: f64,
+    /// About what is upright upon the baseline: how far what the right picture shows is displaced along the baseline, pixels;
+    /// positive where that makes things look farther away, and so larger. It is not allowed for: parts that are longer than
+    /// their files say look the same.
+    pub along_px: f64,
+    /// Its standard deviation, were the part files exact.
+    pub along_sigma_px: f64,
     /// What the poses allow for, the certain part of it: a rotation vector, radians, along the left camera's axes; nought
     /// where that is nothing.
     pub allowed_for: Vector3<f64>,
-    /// Whether more is certain than is allowed for: then nothing is offered.
-    pub in_doubt: bool,
+    /// Why nothing is offered.
+    pub doubt: Option<Doubt>,
+}
+
+/// Why it is in doubt how the cameras stand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Doubt {
+    /// Hardly any end of wire in one picture lies on the epipolar line of an end like it in the other.
+    #[error("hardly an end of wire lies where the other picture says it should: no part is offered")]
+    EndsApart,
+    /// More of a turn is certain than is allowed for.
+    #[error("not all of it can be allowed for: no part is offered")]
+    Rest,
+    /// A camera that has been knocked so far has turned along the baseline as well, which only lengths tell.
+    #[error("so far that heights may be wrong too: no part is offered")]
+    Far,
 }
 
 /// What a pair shows.

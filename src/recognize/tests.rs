@@ -25,6 +25,14 @@ fn conveyor() -> (Session, Rig) {
     (Session::open(&replay).unwrap(), Rig::read(replay.join("calibration.yaml")).unwrap())
 }
 
+/// The conveyor's rig as it was before its right camera turned by this much, in pixels: about the baseline, and at the rim.
+fn before_turn(rig: Rig, rows_px: f64, rim_px: f64) -> Rig {
+    let baseline = rig.right_eye().coords.normalize();
+    let sight = rig.right_from_left.rotation.inverse() * Vector3::z();
+    let sight = (sight - baseline * baseline.dot(&sight)).normalize();
+    rig.with_right_turned(&-(baseline * (rows_px / rig.right.fy) + sight * (rim_px / 320.0)))
+}
+
 fn recognizer(rig: Rig) -> Recognizer {
     recognizer_with(Params::default(), rig)
 }
@@ -159,14 +167,11 @@ fn parts_may_be_of_any_size() {
 #[test]
 fn a_right_camera_that_has_turned_is_told_and_allowed_for() {
     let (session, rig) = conveyor();
-    let baseline = rig.right_eye().coords.normalize();
-    let sight = rig.right_from_left.rotation.inverse() * Vector3::z();
-    let sight = (sight - baseline * baseline.dot(&sight)).normalize();
     // The pictures are what they are: it is the calibration that is turned, the other way.
-    let rows_px = 0.6;
-    let turn = baseline * (rows_px / rig.right.fy) + sight * (0.8 / 320.0);
+    let (rows_px, rim_px) = (0.6, 0.8);
+    let calibrated = before_turn(rig, rows_px, rim_px);
     let mut as_it_stands = recognizer(rig);
-    let mut as_calibrated = recognizer(rig.with_right_turned(&-turn));
+    let mut as_calibrated = recognizer(calibrated);
     for pair in 0..3 {
         let frames = frames(&session, pair, [0, 0]);
         let right = run(&mut as_it_stands, &frames);
@@ -175,7 +180,7 @@ fn a_right_camera_that_has_turned_is_told_and_allowed_for() {
         let found = run(&mut as_calibrated, &frames);
         let told = found.turned.unwrap();
         assert!((told.rows_px - rows_px).abs() < 0.15 && told.is_allowed_for(), "{told:?}");
-        assert!((told.rim_px - 0.8).abs() < 0.4, "{told:?}");
+        assert!((told.rim_px - rim_px).abs() < 0.4, "{told:?}");
         let is_there = |a: &FoundPart| {
             found.parts.iter().any(|b| (a.grasp.position_mm - b.grasp.position_mm).norm() < 1.5)
         };
@@ -185,9 +190,74 @@ fn a_right_camera_that_has_turned_is_told_and_allowed_for() {
         // What was allowed for in one pair is forgotten in the next.
         assert_eq!(run(&mut as_calibrated, &frames).turned, found.turned);
     }
-    let calibrated = rig.with_right_turned(&-turn);
     assert_eq!(*as_calibrated.rig(), calibrated);
     let allowed_for = run(&mut as_calibrated, &frames(&session, 0, [0, 0])).rig(&calibrated);
     let left = allowed_for.right_from_left.rotation.angle_to(&rig.right_from_left.rotation);
     assert!(left * rig.right.fy < 0.5, "{left} radians");
+}
+
+#[test]
+fn a_right_camera_that_was_knocked_is_allowed_for_and_nothing_is_offered() {
+    let (session, rig) = conveyor();
+    for (rows_px, rim_px) in [(4.0, 0.0), (-25.0, 3.0), (0.0, -6.0)] {
+        let mut as_calibrated = recognizer(before_turn(rig, rows_px, rim_px));
+        for pair in 0..2 {
+            let frames = frames(&session, pair, [0, 0]);
+            let right = run(&mut recognizer(rig), &frames);
+            let found = run(&mut as_calibrated, &frames);
+            let told = found.turned.unwrap();
+            assert!((told.rows_px - rows_px).abs() < 0.3 && (told.rim_px - rim_px).abs() < 0.5, "{told:?}");
+            assert!(told.doubt.is_some() && found.parts.iter().all(|part| part.blocked.is_some()));
+            let is_there = |a: &FoundPart| {
+                found.parts.iter().any(|b| (a.grasp.position_mm - b.grasp.position_mm).norm() < 2.0)
+            };
+            let there = right.parts.iter().filter(|part| is_there(part)).count();
+            assert!(there + 2 >= right.parts.len() && there > 5, "{there} of {}", right.parts.len());
+        }
+    }
+}
+
+#[test]
+fn parts_that_look_longer_than_their_files_are_told() {
+    let (session, rig) = conveyor();
+    let baseline = rig.right_eye().coords.normalize();
+    let sight = rig.right_from_left.rotation.inverse() * Vector3::z();
+    let upright = sight.cross(&baseline).normalize();
+    // Turned towards the left camera the right one sees things farther along the baseline, as if they were farther away.
+    let turn = upright * (-0.8 / rig.right.fx);
+    let [mut as_it_stands, mut as_calibrated] = [rig, rig.with_right_turned(&-turn)].map(recognizer);
+    let depth_mm = |found: &Recognition| found.parts[0].left_from_part.translation.z;
+    for pair in 0..2 {
+        let frames = frames(&session, pair, [0, 0]);
+        let [right, wrong] = [&mut as_it_stands, &mut as_calibrated].map(|r| run(r, &frames));
+        let along_px = |found: &Recognition| found.turned.unwrap().along_px;
+        assert!(along_px(&right).abs() < 0.3 && (along_px(&wrong) - 0.8).abs() < 0.3, "{:?}", wrong.turned);
+        assert!(depth_mm(&wrong) > depth_mm(&right) + 1.0);
+    }
+}
+
+#[test]
+fn nothing_is_offered_where_the_ends_of_wire_do_not_lie_where_they_should() {
+    let (session, rig) = conveyor();
+    for rows_px in [60.0, -90.0] {
+        let mut as_calibrated = recognizer(before_turn(rig, rows_px, 0.0));
+        for pair in 0..4 {
+            let found = run(&mut as_calibrated, &frames(&session, pair, [0, 0]));
+            assert!(found.parts.iter().all(|part| part.blocked.is_some()), "{found:?}");
+            assert!(found.turned.is_none_or(|turned| turned.doubt.is_some()), "{:?}", found.turned);
+        }
+    }
+}
+
+#[test]
+fn exchanged_pictures_are_refused() {
+    let (session, rig) = conveyor();
+    let mut found = Recognition::default();
+    for pair in 0..4 {
+        let frames = frames(&session, pair, [0, 0]);
+        let exchanged = FramePair { left: frames.right, right: frames.left };
+        let refusal = recognizer(rig).run(&exchanged, Budget::Iterations(200_000), 1, &mut found);
+        assert_eq!(refusal, Err(Refusal::Exchanged));
+        assert!(found.parts.is_empty());
+    }
 }

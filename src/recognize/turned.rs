@@ -6,8 +6,10 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::result::{Recognition, Turned};
-use super::{Job, Recognizer, Scale};
+use super::result::{Doubt, FoundPart, Recognition, Turned};
+use super::votes::Exchanged;
+use super::{Job, Recognizer, Refusal, Scale, rig_of};
+use crate::picture::Picture;
 use crate::pose::refine::TurnSeen;
 use crate::rig::Rig;
 
@@ -20,19 +22,29 @@ const CERTAIN_SIGMAS: f64 = 3.0;
 const WORTH_IT: f64 = 0.5;
 /// What the model of wire and ends leaves of a turn that is none, in pixels, whatever the number of parts.
 const MODEL_SIGMA_PX: [f64; 2] = [0.04, 0.08];
+/// Webcams turn by less than this from one day to the next, in pixels. One that was knocked farther has turned along the
+/// baseline as well.
+const FAR_PX: f64 = 2.0;
+/// Information, per square radian, beside which all other is none.
+const PINNED: f64 = 1e18;
 /// A camera has not turned by more than about this, in radians: where nothing is seen of a turn there is none.
 const TURN_SIGMA: f64 = 0.02;
 
 impl Recognizer {
-    /// From graphs to parts, with the right camera as calibrated, and anew as it stands where the parts tell that for
+    /// From graphs to parts, with the right camera as its ends tell, and anew as it stands where the parts tell that for
     /// certain, until nothing is left of it; says whether there was time for all.
-    pub(super) fn recognise_turned(&mut self, job: &mut Job, out: &mut Recognition) -> bool {
+    pub(super) fn recognise_turned(
+        &mut self,
+        told_by_ends: Vector3<f64>,
+        job: &mut Job,
+        out: &mut Recognition,
+    ) -> bool {
         let mut go = |this: &mut Self, turn: Vector3<f64>, out: &mut Recognition| {
             this.turn_right(turn);
             let in_time = this.recognise(job, out);
             (in_time, this.judge_turn(out).filter(|_| in_time && !out.out_of_time))
         };
-        let (mut in_time, mut more) = go(self, Vector3::zeros(), out);
+        let (mut in_time, mut more) = go(self, told_by_ends, out);
         for _ in 0..TURNS_MAX {
             let Some(turn) = more else { break };
             let (before, parts) = (self.turn, out.parts.len());
@@ -44,6 +56,15 @@ impl Recognizer {
             }
         }
         in_time
+    }
+
+    /// The turn of the right camera, radians, along the left camera's axes, that ends in both pictures tell before anything is
+    /// recognised; nought where they tell none.
+    pub(super) fn turn_told_by_ends(&mut self) -> Result<Vector3<f64>, Refusal> {
+        let Self { votes, pictures, scales, rig, .. } = self;
+        let calibrated = Rig { right_from_left: rig.right_from_left, ..*rig_of(scales, pictures) };
+        let turn = votes.turn(&calibrated, pictures.each_ref().map(Picture::nodes));
+        turn.map(Option::unwrap_or_default).map_err(|Exchanged| Refusal::Exchanged)
     }
 
     /// Allows for this turn of the right camera, radians, along the left camera's axes.
@@ -60,9 +81,22 @@ impl Recognizer {
         self.explanations.standing().for_each(|explanation| seen += &explanation.turn);
         out.turned = None;
         let model_px = f64::from(1 << self.pictures[0].halvings());
-        let (turned, more) = turned(&self.scales[0].rig, &seen, &self.turn, model_px)?;
-        out.turned = (!out.parts.is_empty()).then_some(Turned { allowed_for: self.turn, ..turned });
+        let (told, more) = turned(&self.scales[0].rig, &seen, &self.turn, model_px)?;
+        if !out.parts.is_empty() {
+            let ends_apart = self.are_ends_apart(&out.parts).then_some(Doubt::EndsApart);
+            out.turned = Some(Turned { allowed_for: self.turn, doubt: ends_apart.or(told.doubt), ..told });
+        }
         more
+    }
+
+    /// Whether hardly any end of wire as thick as that of these parts has its like on its line.
+    fn are_ends_apart(&self, parts: &[FoundPart]) -> bool {
+        let focal_px = rig_of(&self.scales, &self.pictures).right.focal_px();
+        let depth_mm = || parts.iter().map(|found| found.left_from_part.translation.z);
+        let [nearest, farthest] = [depth_mm().fold(f64::MAX, f64::min), depth_mm().fold(0.0, f64::max)];
+        let [thinnest_mm, thickest_mm] = self.thickness_mm;
+        self.votes
+            .are_apart([thinnest_mm / farthest, thickest_mm / nearest].map(|share| 0.5 * focal_px * share))
     }
 }
 
@@ -77,17 +111,23 @@ struct Told {
     in_doubt: bool,
 }
 
+impl Told {
+    fn is_far(&self) -> bool {
+        self.is_certain && self.px.abs() > FAR_PX
+    }
+}
+
 /// Directions of a turn, and what a turn about them does to the right picture.
-struct Axes {
+pub(super) struct Axes {
     /// Along the left camera's axes: the baseline, what is upright upon it and the line of sight, and the latter made upright
     /// upon the baseline.
-    left_from_axes: Matrix3<f64>,
+    pub(super) left_from_axes: Matrix3<f64>,
     /// Pixels a radian about the first and the last: of what is displaced across the baseline in the middle, and at the rim.
-    px_per_radian: [f64; 2],
+    pub(super) px_per_radian: [f64; 2],
 }
 
 impl Axes {
-    fn of(rig: &Rig) -> Option<Self> {
+    pub(super) fn of(rig: &Rig) -> Option<Self> {
         let baseline = rig.right_eye().coords.try_normalize(1e-9)?;
         let sight = rig.right_from_left.rotation.inverse() * Vector3::z();
         let sight = (sight - baseline * baseline.dot(&sight)).try_normalize(1e-9)?;
@@ -124,14 +164,15 @@ fn turned(
     let [rows, rim] = [(0, 0), (2, 1)].map(|(axis, k)| {
         let sigma_px =
             (covariance[(axis, axis)].sqrt() * px_per_radian[k]).hypot(MODEL_SIGMA_PX[k] * model_px);
-        let more_px = free[axis] * px_per_radian[k];
-        let px = before[axis] * px_per_radian[k] + more_px;
+        let [before_px, more_px] = [before[axis], free[axis]].map(|radians| radians * px_per_radian[k]);
+        let px = before_px + more_px;
         let is_certain = px.abs() > CERTAIN_SIGMAS * sigma_px;
+        let missing_px = if is_certain { more_px } else { -before_px };
         Told {
             px,
             sigma_px,
             is_certain,
-            is_worth_it: is_certain && more_px.abs() > WORTH_IT * MODEL_SIGMA_PX[k] * model_px,
+            is_worth_it: missing_px.abs() > WORTH_IT * MODEL_SIGMA_PX[k] * model_px,
             in_doubt: more_px.abs() > CERTAIN_SIGMAS * sigma_px,
         }
     });
@@ -140,17 +181,24 @@ fn turned(
         rows_sigma_px: rows.sigma_px,
         rim_px: rim.px,
         rim_sigma_px: rim.sigma_px,
-        in_doubt: rows.in_doubt || rim.in_doubt,
+        along_px: -free.y * px_per_radian[0],
+        along_sigma_px: covariance[(1, 1)].sqrt() * px_per_radian[0],
+        doubt: if rows.in_doubt || rim.in_doubt {
+            Some(Doubt::Rest)
+        } else {
+            [&rows, &rim].iter().any(|told| told.is_far()).then_some(Doubt::Far)
+        },
         ..Turned::default()
     };
     if !(rows.is_worth_it || rim.is_worth_it) {
         return Some((told, None));
     }
-    // What is not certain stays as it is; the rest is solved for without it.
-    let mut pinned = normal;
+    // What is not certain is not allowed for; the rest is solved for without it.
+    let (mut pinned, mut right_side) = (normal, right_side);
     for (axis, of_axis) in [(0, rows), (2, rim)] {
         if !of_axis.is_certain {
-            pinned[(axis, axis)] += 1e18;
+            pinned[(axis, axis)] += PINNED;
+            right_side[axis] -= PINNED * before[axis];
         }
     }
     let mut turn = pinned.try_inverse()? * right_side;
@@ -188,14 +236,28 @@ mod tests {
         let none = Vector3::zeros();
         let half_a_pixel = Vector3::new(0.5 / 700.0, 0.5 / 700.0, 0.0);
         let (told, more) = turned(&rig(), &seen(&half_a_pixel, 0.05), &none, 1.0).unwrap();
-        assert!((told.rows_px - 0.5).abs() < 0.01 && told.rim_px.abs() < 0.01 && told.in_doubt, "{told:?}");
+        assert!(
+            (told.rows_px - 0.5).abs() < 0.01 && told.rim_px.abs() < 0.01 && told.doubt == Some(Doubt::Rest),
+            "{told:?}"
+        );
         let more = more.unwrap();
         assert!((more.x * 700.0 - 0.5).abs() < 0.01 && more.y == 0.0 && more.z == 0.0, "{more}");
         // What is allowed for already is told with the rest, and not allowed for twice.
         let (told, more) = turned(&rig(), &seen(&none, 0.05), &more, 1.0).unwrap();
-        assert!((told.rows_px - 0.5).abs() < 0.01 && !told.in_doubt && more.is_none());
+        assert!((told.rows_px - 0.5).abs() < 0.01 && told.doubt.is_none() && more.is_none());
         let (told, more) = turned(&rig(), &seen(&half_a_pixel, 0.3), &none, 1.0).unwrap();
         assert!(more.is_none() && told.rows_sigma_px > 0.29, "{told:?}");
+        // Nor is what ends told before.
+        let doubtful = Vector3::new(0.0, 0.0, 0.1 / 320.0);
+        let (told, more) = turned(&rig(), &seen(&Vector3::zeros(), 0.1), &doubtful, 1.0).unwrap();
+        assert!(told.doubt.is_none() && (more.unwrap() + doubtful).norm() < 1e-9, "{told:?} {more:?}");
+        // Parts as if seen from farther along the baseline are longer ones, and said to look so.
+        let longer = Vector3::new(0.0, -0.5 / 700.0, 0.0);
+        let (told, more) = turned(&rig(), &seen(&longer, 0.05), &none, 1.0).unwrap();
+        assert!(
+            (told.along_px - 0.5).abs() < 0.01 && told.along_sigma_px < 0.06 && more.is_none(),
+            "{told:?}"
+        );
         // Without parts nothing is known, and nothing is turned.
         let (told, more) = turned(&rig(), &TurnSeen::default(), &none, 1.0).unwrap();
         assert!(more.is_none() && told.rows_px == 0.0 && told.rows_sigma_px > 10.0, "{told:?}");

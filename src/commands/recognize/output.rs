@@ -30,8 +30,12 @@ struct TurnedResult {
     rows_sigma_px: f64,
     rim_px: f64,
     rim_sigma_px: f64,
+    along_px: f64,
+    along_sigma_px: f64,
     allowed_for: bool,
-    in_doubt: bool,
+    in_doubt: Option<String>,
+    #[serde(skip)]
+    words: String,
 }
 
 #[derive(Serialize)]
@@ -172,11 +176,11 @@ impl<'a> PairResult<'a> {
             write!(out, "no pick: {reason}; ")?;
         }
         writeln!(out, "{} and {} nodes, {}", self.nodes_left, self.nodes_right, self.times())?;
-        if let Some(turned) = self.right_camera_turned.as_ref().filter(|t| t.allowed_for || t.in_doubt) {
-            let words = Turned { rows_px: turned.rows_px, rim_px: turned.rim_px, ..Turned::default() };
-            let allowed =
-                if turned.in_doubt { "not all of that is allowed for" } else { "that is allowed for" };
-            writeln!(out, "{words}; {allowed}; calibrate again")?;
+        if let Some(turned) =
+            self.right_camera_turned.as_ref().filter(|t| t.allowed_for || t.in_doubt.is_some())
+        {
+            let allowed = turned.in_doubt.as_deref().unwrap_or("that is allowed for");
+            writeln!(out, "{}; {allowed}; calibrate again", turned.words)?;
         }
         if !self.parts.is_empty() {
             let frame = self.parts[0].grasp.frame;
@@ -222,10 +226,22 @@ impl<'a> PairResult<'a> {
 
 impl TurnedResult {
     fn new(turned: &Turned) -> Self {
-        let [rows_px, rows_sigma_px, rim_px, rim_sigma_px] =
-            rounded([turned.rows_px, turned.rows_sigma_px, turned.rim_px, turned.rim_sigma_px], 1e4);
-        let (allowed_for, in_doubt) = (turned.is_allowed_for(), turned.in_doubt);
-        Self { rows_px, rows_sigma_px, rim_px, rim_sigma_px, allowed_for, in_doubt }
+        let Turned { rows_px, rows_sigma_px, rim_px, rim_sigma_px, along_px, along_sigma_px, .. } = *turned;
+        let [rows_px, rows_sigma_px, rim_px, rim_sigma_px, along_px, along_sigma_px] =
+            rounded([rows_px, rows_sigma_px, rim_px, rim_sigma_px, along_px, along_sigma_px], 1e4);
+        let (allowed_for, in_doubt) = (turned.is_allowed_for(), turned.doubt.map(|doubt| doubt.to_string()));
+        let words = turned.to_string();
+        Self {
+            rows_px,
+            rows_sigma_px,
+            rim_px,
+            rim_sigma_px,
+            along_px,
+            along_sigma_px,
+            allowed_for,
+            in_doubt,
+            words,
+        }
     }
 }
 

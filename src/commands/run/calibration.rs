@@ -6,8 +6,9 @@ use crate::recognize::Turned;
 
 /// So many pairs with parts the mean is taken of, the newer ones weighing more; before so many nothing is said.
 const PAIRS: u32 = 20;
-/// A turn that is worth a new calibration, in pixels: about the baseline, and at the rim.
-const LIMIT_PX: [f64; 2] = [0.15, 0.3];
+/// A turn that is worth a new calibration, in pixels: about the baseline, at the rim, and along the baseline, where lengths in
+/// part files that are wrong by half a percent look the same.
+const LIMIT_PX: [f64; 3] = [0.15, 0.3, 1.0];
 /// What is said is so many standard deviations large.
 const CERTAIN_SIGMAS: f64 = 3.0;
 
@@ -15,8 +16,8 @@ const CERTAIN_SIGMAS: f64 = 3.0;
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Calibration {
     pairs: u32,
-    across: Mean,
-    rim: Mean,
+    /// About the baseline, at the rim, along the baseline.
+    means: [Mean; 3],
     is_off: bool,
 }
 
@@ -43,13 +44,20 @@ impl Calibration {
     /// Takes what a pair tells; what is to be said, once it is certain.
     pub(super) fn pair(&mut self, turned: &Turned) -> Option<String> {
         self.pairs = self.pairs.saturating_add(1);
-        self.across.add(turned.rows_px, turned.rows_sigma_px);
-        self.rim.add(turned.rim_px, turned.rim_sigma_px);
-        let [across_px, rim_px] = if self.is_off { LIMIT_PX.map(|px| 0.5 * px) } else { LIMIT_PX };
-        let is_off = self.is_told() && (self.across.is_above(across_px) || self.rim.is_above(rim_px));
+        let told = [
+            (turned.rows_px, turned.rows_sigma_px),
+            (turned.rim_px, turned.rim_sigma_px),
+            (turned.along_px, turned.along_sigma_px),
+        ];
+        for (mean, (px, sigma_px)) in self.means.iter_mut().zip(told) {
+            mean.add(px, sigma_px);
+        }
+        let share = if self.is_off { 0.5 } else { 1.0 };
+        let is_above = |(mean, limit_px): (&Mean, f64)| mean.is_above(share * limit_px);
+        let is_off = self.is_told() && self.means.iter().zip(LIMIT_PX).any(is_above);
         let news = is_off && !self.is_off;
         self.is_off = is_off;
-        news.then(|| format!("{}; what is certain of it is allowed for; calibrate again", self.words()))
+        news.then(|| format!("{}; calibrate again", self.words()))
     }
 
     fn is_told(&self) -> bool {
@@ -57,7 +65,21 @@ impl Calibration {
     }
 
     fn words(&self) -> String {
-        Turned { rows_px: self.across.px, rim_px: self.rim.px, ..Turned::default() }.to_string()
+        let [rows_px, rim_px, along_px] = self.means.map(|mean| mean.px);
+        let is_above = |n: usize| self.means[n].is_above(0.5 * LIMIT_PX[n]);
+        let mut words = Vec::new();
+        if is_above(0) || is_above(1) {
+            let turned = Turned { rows_px, rim_px, ..Turned::default() };
+            words.push(format!("{turned}; what is certain of that is allowed for"));
+        }
+        if is_above(2) {
+            let longer = if along_px > 0.0 { "longer" } else { "shorter" };
+            words.push(format!(
+                "parts look {longer} than their files say: either these are wrong, or the right camera has turned by \
+                 {along_px:+.2} px along the baseline and heights are wrong"
+            ));
+        }
+        words.join("; ")
     }
 
     /// For the table, where it is off.
@@ -68,7 +90,10 @@ impl Calibration {
     /// For programs; `null` as long as there were too few pairs.
     pub(super) fn json(&self) -> Value {
         match self.is_told() {
-            true => json!({ "rows_px": self.across.px, "rim_px": self.rim.px, "is_off": self.is_off }),
+            true => {
+                let [rows_px, rim_px, along_px] = self.means.map(|mean| mean.px);
+                json!({ "rows_px": rows_px, "rim_px": rim_px, "along_px": along_px, "is_off": self.is_off })
+            }
             false => Value::Null,
         }
     }
@@ -79,7 +104,15 @@ mod tests {
     use super::*;
 
     fn turned(rows_px: f64, rim_px: f64, sigma_px: f64) -> Turned {
-        Turned { rows_px, rows_sigma_px: sigma_px, rim_px, rim_sigma_px: sigma_px, ..Turned::default() }
+        let along_sigma_px = sigma_px;
+        Turned {
+            rows_px,
+            rows_sigma_px: sigma_px,
+            rim_px,
+            rim_sigma_px: sigma_px,
+            along_sigma_px,
+            ..Turned::default()
+        }
     }
 
     #[test]
@@ -97,6 +130,20 @@ mod tests {
         assert_eq!(said(-0.5, 100).len(), 1);
         assert!(calibration.text().is_some_and(|words| words.contains("-0.50 px across")));
         assert!(calibration.json()["rows_px"].as_f64().is_some_and(|px| (px + 0.5).abs() < 0.01));
+    }
+
+    #[test]
+    fn parts_that_look_longer_than_their_files_are_said() {
+        let mut calibration = Calibration::default();
+        let longer = Turned { along_px: 1.2, ..turned(0.0, 0.0, 0.05) };
+        let words: Vec<String> = (0..PAIRS).filter_map(|_| calibration.pair(&longer)).collect();
+        assert!(words.len() == 1 && words[0].starts_with("parts look longer"), "{words:?}");
+        let (shorter_px, rows_px) = (-1.2, 0.5);
+        for _ in 0..100 {
+            calibration.pair(&Turned { along_px: shorter_px, ..turned(rows_px, 0.0, 0.05) });
+        }
+        let words = calibration.text().unwrap();
+        assert!(words.contains("+0.50 px across") && words.contains("parts look shorter"), "{words}");
     }
 
     #[test]
