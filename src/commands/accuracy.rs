@@ -112,7 +112,7 @@ fn run_set(args: &Accuracy, set: &SceneSet, folder: &Path) -> Result<Score, Box<
         let files = PairFiles {
             name: scene.name.clone(),
             folder: set.calibration.with_file_name(&scene.name),
-            files: scene.pictures.clone().map(|path| Some(RecordedPicture::File(path))),
+            files: scene.pictures.clone().map(|path| vec![RecordedPicture::File(path)]),
         };
         let (pair, _) = read_pair(&files, recognizer.rig())?;
         let mut found = Recognition::default();

@@ -11,7 +11,7 @@ use crate::rig::{CameraModel, Rig};
 use crate::session::{RecordedPicture, Session};
 use crate::vision::decode::{Decoder, Output};
 
-/// Two pictures that belong together. A side is `None` where its picture is missing.
+/// Two pictures that belong together: one for each side, unless a picture is missing or it is in doubt which it is.
 #[derive(Clone, Debug)]
 pub struct PairFiles {
     /// The folder's name, the files' name without ending, or a recording's name of the pair.
@@ -19,7 +19,7 @@ pub struct PairFiles {
     /// Where to look, for the message about a missing picture.
     pub folder: PathBuf,
     /// Left and right.
-    pub files: [Option<RecordedPicture>; 2],
+    pub files: [Vec<RecordedPicture>; 2],
 }
 
 const SIDES: [&str; 2] = ["left", "right"];
@@ -35,7 +35,7 @@ pub fn pairs_of(folder: &Path) -> Result<Vec<PairFiles>, RecognizeError> {
     }
     let is_session = SIDES.iter().all(|side| folder.join(side).is_dir());
     let pairs = if is_session { session_pairs(folder)? } else { folder_pairs(folder)? };
-    if !pairs.iter().any(|p| p.files.iter().all(Option::is_some)) {
+    if !pairs.iter().any(|p| p.files.iter().all(|files| !files.is_empty())) {
         return Err(RecognizeError::NoPairs { path: folder.to_owned() });
     }
     Ok(pairs)
@@ -49,28 +49,22 @@ fn recorded_pairs(path: &Path) -> Result<Vec<PairFiles>, RecognizeError> {
     let pair = |pair: crate::session::RecordedPair| PairFiles {
         name: pair.name,
         folder: path.to_owned(),
-        files: pair.pictures,
+        files: pair.pictures.map(Vec::from_iter),
     };
     Ok(session.pairs.into_iter().map(pair).collect())
 }
 
 fn session_pairs(folder: &Path) -> Result<Vec<PairFiles>, RecognizeError> {
-    let mut names: BTreeMap<String, [Option<PathBuf>; 2]> = BTreeMap::new();
+    let mut names: BTreeMap<String, [Vec<RecordedPicture>; 2]> = BTreeMap::new();
     for (i, side) in SIDES.iter().enumerate() {
         for path in entries(&folder.join(side))? {
             if let (true, Some(stem)) = (is_picture(&path), path.file_stem()) {
-                let place = &mut names.entry(stem.to_string_lossy().into_owned()).or_default()[i];
-                // of two endings the first in the alphabet
-                place.get_or_insert(path);
+                let files = names.entry(stem.to_string_lossy().into_owned()).or_default();
+                files[i].push(RecordedPicture::File(path));
             }
         }
     }
-    let pair = |(name, files): (String, [Option<PathBuf>; 2])| PairFiles {
-        name,
-        folder: folder.to_owned(),
-        files: files.map(|file| file.map(RecordedPicture::File)),
-    };
-    Ok(names.into_iter().map(pair).collect())
+    Ok(names.into_iter().map(|(name, files)| PairFiles { name, folder: folder.to_owned(), files }).collect())
 }
 
 fn folder_pairs(folder: &Path) -> Result<Vec<PairFiles>, RecognizeError> {
@@ -81,13 +75,12 @@ fn folder_pairs(folder: &Path) -> Result<Vec<PairFiles>, RecognizeError> {
         }
         // what cannot be listed is no pair
         let pictures: Vec<PathBuf> = entries(&path).unwrap_or_default();
-        let find = |side: &str| {
-            pictures.iter().find(|p| p.file_stem() == Some(OsStr::new(side)) && is_picture(p)).cloned()
-        };
-        let files = SIDES.map(find);
-        if files.iter().any(Option::is_some) {
+        let files = SIDES.map(|side| {
+            let of_side = |p: &&PathBuf| p.file_stem() == Some(OsStr::new(side)) && is_picture(p);
+            pictures.iter().filter(of_side).cloned().map(RecordedPicture::File).collect()
+        });
+        if files.iter().any(|files: &Vec<_>| !files.is_empty()) {
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            let files = files.map(|file| file.map(RecordedPicture::File));
             pairs.push(PairFiles { name, folder: path, files });
         }
     }
@@ -111,12 +104,17 @@ fn is_picture(path: &Path) -> bool {
 /// Reads both pictures of a pair and checks their sizes. A JPEG stays compressed, as a camera would send it.
 ///
 /// # Errors
-/// A picture is missing, cannot be read, or has not the calibration's size.
+/// A picture is missing, there are two for one side, one cannot be read, or has not the calibration's size.
 pub fn read_pair(pair: &PairFiles, rig: &Rig) -> Result<(FramePair, [PathBuf; 2]), RecognizeError> {
     let picture = |side: usize| {
         let name = SIDES[side];
-        let missing = || RecognizeError::MissingPicture { path: pair.folder.join(name), side: name };
-        pair.files[side].as_ref().ok_or_else(missing)
+        match &pair.files[side][..] {
+            [] => Err(RecognizeError::MissingPicture { path: pair.folder.join(name), side: name }),
+            [picture] => Ok(picture),
+            [first, other, ..] => {
+                Err(RecognizeError::TwoPictures { path: first.place(), other: other.place(), side: name })
+            }
+        }
     };
     let pictures = [picture(0)?, picture(1)?];
     let read = |picture: &RecordedPicture, side: &'static str, camera: &CameraModel| {
@@ -155,6 +153,10 @@ mod tests {
         fs::write(path, b"x").unwrap();
     }
 
+    fn places(pair: &PairFiles) -> [Vec<PathBuf>; 2] {
+        pair.files.each_ref().map(|files| files.iter().map(RecordedPicture::place).collect())
+    }
+
     #[test]
     fn folders_of_pairs_are_listed_in_order_of_name() {
         let folder = tempfile::tempdir().unwrap();
@@ -167,9 +169,8 @@ mod tests {
         let pairs = pairs_of(folder.path()).unwrap();
         let names: Vec<_> = pairs.iter().map(|p| p.name.as_str()).collect();
         assert_eq!(names, ["a", "b", "c"]);
-        let places = |pair: &PairFiles| pair.files.clone().map(|file| file.map(|file| file.place()));
-        assert_eq!(places(&pairs[1]), [Some(at("b/left.png")), Some(at("b/right.JPG"))]);
-        assert!(pairs[2].files[1].is_none());
+        assert_eq!(places(&pairs[1]), [[at("b/left.png")], [at("b/right.JPG")]]);
+        assert!(pairs[2].files[1].is_empty());
     }
 
     #[test]
@@ -183,8 +184,23 @@ mod tests {
         }
         let pairs = pairs_of(folder.path()).unwrap();
         assert_eq!(pairs.len(), 2);
-        let places = pairs[1].files.clone().map(|file| file.map(|file| file.place()));
-        assert_eq!(places, [Some(at("left/2.png")), Some(at("right/2.jpg"))]);
+        assert_eq!(places(&pairs[1]), [[at("left/2.png")], [at("right/2.jpg")]]);
+    }
+
+    #[test]
+    fn two_pictures_for_one_side_of_a_pair_are_refused() {
+        let rig = Rig::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/conveyor/calibration.yaml"))
+            .unwrap();
+        for names in
+            [["a/left.jpg", "a/left.png", "a/right.jpg"], ["left/1.jpg", "left/1.png", "right/1.jpg"]]
+        {
+            let folder = tempfile::tempdir().unwrap();
+            names.iter().for_each(|name| touch(folder.path().join(name)));
+            let pairs = pairs_of(folder.path()).unwrap();
+            let message = read_pair(&pairs[0], &rig).unwrap_err().to_string();
+            assert!(message.contains(names[0]) && message.contains(names[1]), "{message}");
+            assert!(message.contains("both for the left picture of this pair"), "{message}");
+        }
     }
 
     #[test]

@@ -12,8 +12,8 @@ use super::{CameraModel, Rig, RigError};
 
 /// RᵀR may differ from 1 by this: a rotation typed with four digits passes (1.7e-4), a scaled or sheared one not.
 const ROTATION_TOLERANCE: f64 = 2e-4;
-/// Shorter baselines are taken for metres in place of millimetres.
-const BASELINE_MIN_MM: f64 = 1.0;
+/// Shorter baselines are taken for metres in place of millimetres; longer ones for micrometres, or for none.
+const BASELINE_MM: RangeInclusive<f64> = 1.0..=10_000.0;
 /// Focal length over the longer side of the picture: from what sees 170 degrees to a telescope.
 const FOCAL_WIDTHS: RangeInclusive<f64> = 0.04..=100.0;
 /// How far from itself a pixel may come back whose distortion is taken off and put on again.
@@ -177,7 +177,8 @@ impl File {
         let failed = |source| RigError::Read { path: path.to_owned(), source };
         let bytes = read_bytes(path).map_err(failed)?;
         let text = String::from_utf8_lossy(&bytes);
-        let entries = yaml::parse(&text).map_err(|e| syntax(path, &e))?;
+        // Some editors put a byte-order mark before the text.
+        let entries = yaml::parse(text.trim_start_matches('\u{feff}')).map_err(|e| syntax(path, &e))?;
         if entries.is_empty() {
             let empty = yaml::SyntaxError { line: 1, problem: "no key in it".into() };
             return Err(syntax(path, &empty));
@@ -325,13 +326,15 @@ impl File {
 
     fn check_baseline(&self, translation_mm: &Vector3<f64>, key: &str, remedy: &str) -> Result<(), RigError> {
         let baseline = translation_mm.norm();
-        if baseline >= BASELINE_MIN_MM && baseline.is_finite() {
+        if BASELINE_MM.contains(&baseline) {
             return Ok(());
         }
         let [x, y, z] = [translation_mm.x, translation_mm.y, translation_mm.z];
         let problem = format!(
-            "a baseline of {} mm; it must be at least {BASELINE_MIN_MM} mm. {remedy}",
-            short((1e3 * baseline).round() / 1e3)
+            "a baseline of {} mm; it must be {} to {} mm. {remedy}",
+            short((1e3 * baseline).round() / 1e3),
+            BASELINE_MM.start(),
+            BASELINE_MM.end()
         );
         Err(self.value(key, &format!("[{}, {}, {}]", short(x), short(y), short(z)), &problem))
     }

@@ -222,6 +222,9 @@ fn a_written_rig_reads_back() {
         assert!(
             (back.right_from_left.to_homogeneous() - rig.right_from_left.to_homogeneous()).norm() < 1e-12
         );
+        let with_mark = ["\u{feff}".as_bytes(), &std::fs::read(&path).unwrap()].concat();
+        std::fs::write(&path, with_mark).unwrap();
+        assert_eq!(Rig::read(&path).unwrap(), back);
     }
     let two = Rig { left: CameraModel { width: 800, ..camera(5) }, ..rig() };
     let message = two.write(&path).unwrap_err().to_string();
@@ -280,6 +283,7 @@ fn what_is_wrong_in_a_file_is_named_with_key_value_and_remedy() {
             "-0.064, 0., 0.",
             "multiply it by 1000",
         ),
+        ("-63.789745829089803", "-1e9", "a baseline of 1e9 mm; it must be 1 to 10000 mm"),
         ("rows: 3\n   cols: 1", "rows: 1\n   cols: 2", "T says 1 rows and 2 cols but has 3 numbers"),
         (
             "rows: 3\n   cols: 3",

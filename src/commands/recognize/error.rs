@@ -54,6 +54,16 @@ pub enum RecognizeError {
         /// `left` or `right`.
         side: &'static str,
     },
+    /// Two pictures that could be the one.
+    #[error("{} and {}: both for the {side} picture of this pair; leave one of them there", path.display(), other.display())]
+    TwoPictures {
+        /// The first in the alphabet.
+        path: PathBuf,
+        /// The second.
+        other: PathBuf,
+        /// `left` or `right`.
+        side: &'static str,
+    },
     /// A device, pipe or folder in place of a picture.
     #[error("{}: is no regular file; give a png or jpg picture", path.display())]
     NoFile {

@@ -90,7 +90,7 @@ impl Setup {
 fn pictures(args: &RecognizeArgs, cell: Option<&Cell>) -> Result<(Vec<PairFiles>, bool), RecognizeError> {
     if let (Some(left), Some(right)) = (&args.left, &args.right) {
         let name = left.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let files = [left, right].map(|path| Some(RecordedPicture::File(path.clone())));
+        let files = [left, right].map(|path| vec![RecordedPicture::File(path.clone())]);
         return Ok((vec![PairFiles { name, folder: PathBuf::new(), files }], false));
     }
     let session =
