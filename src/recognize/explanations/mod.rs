@@ -345,7 +345,7 @@ impl Explanations {
                 }
             };
             let Some(index) = self.list[..self.count].iter_mut().position(is_anchored) else { return };
-            self.claim(index);
+            self.claim_first(index);
             let Explanation { hypothesis, verdict, .. } = &self.list[index];
             settle_for(&mut self.settled[hypothesis.part], verdict);
         }
@@ -355,8 +355,13 @@ impl Explanations {
         &self.list[..self.count]
     }
 
-    fn claim(&mut self, index: usize) {
+    /// Claims the wire of an explanation before the competition.
+    fn claim_first(&mut self, index: usize) {
         self.list[index].has_claimed = true;
+        self.claim(index);
+    }
+
+    fn claim(&mut self, index: usize) {
         for (side, claims) in self.claims.iter_mut().enumerate() {
             claims.claim(self.list[index].verdict.pieces.iter().map(|piece| &piece[side]));
         }
@@ -382,7 +387,7 @@ impl Explanations {
             let Explanation { fit, verdict, overrun_mm, has_claimed, .. } = &self.list[index];
             if select::is_sound(fit, verdict, *overrun_mm) {
                 if !has_claimed {
-                    self.claim(index);
+                    self.claim_first(index);
                 }
                 self.settle(index, parts);
             }
