@@ -21,9 +21,9 @@
 //! let all = [placed(&below), placed(&above)];
 //!
 //! let params = Params::default();
-//! let grasps = all.map(|placed| grasp_of(&params, &placed));
+//! let mut grasps = all.map(|placed| grasp_of(&params, &placed));
 //! let mut why = [None; 2];
-//! blocked(&params, &all, &grasps, &mut why);
+//! blocked(&params, &all, &mut grasps, &mut why);
 //! assert_eq!(why, [Some(Blocked::Covered), None]);
 //! # Ok::<(), pickcell::part::PartError>(())
 //! ```
@@ -120,6 +120,20 @@ pub struct Grasp {
     pub opening_mm: f64,
     /// Angle of the approach to straight down, radians.
     pub tilt_rad: f64,
+    /// How far along its axis it is from where the part file has it, mm.
+    pub slid_mm: f64,
+}
+
+impl Grasp {
+    /// The same, so much farther along the wire.
+    fn slid(&self, by_mm: f64) -> Self {
+        Self { position_mm: self.position_mm + self.axis * by_mm, slid_mm: self.slid_mm + by_mm, ..*self }
+    }
+
+    /// The tool point in the left camera's frame.
+    pub fn position_left_mm(&self, params: &Params) -> Point3<f64> {
+        params.base_from_left.unwrap_or_default().inverse() * self.position_mm
+    }
 }
 
 /// A part in its place, as grasping sees it.
@@ -143,6 +157,10 @@ const SURE_SIGMAS: f64 = 2.0;
 /// How far apart the axes of two wires of about the same height are beside each other at least, in sums of their radii.
 /// Where they lie along each other it is 1, less the error of two places.
 const BESIDE_MIN: f64 = 0.6;
+
+/// In which steps a grasp slides along the wire, mm, and in how many at most either way.
+const SLIDE_STEP_MM: f64 = 2.0;
+const SLIDE_STEPS_MAX: f64 = 16.0;
 
 /// Direction straight down in the left camera's frame.
 pub fn down_in_left(params: &Params) -> Vector3<f64> {
@@ -181,19 +199,16 @@ pub fn grasp_of(params: &Params, placed: &Placed) -> Grasp {
         orientation: UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes)),
         opening_mm: opening_mm(gripper, placed.part),
         tilt_rad: approach.angle(&down),
+        slid_mm: 0.0,
     }
 }
 
-/// Why parts cannot be taken, each with its grasp; `None` for those that can.
+/// Why parts cannot be taken, each with its grasp; `None` for those that can. A grasp for which there is no room, or that
+/// is outside the workspace, slides along the wire as far as the part file allows to the nearest place where neither is so.
 ///
 /// # Panics
 /// Where `why` has not a place for every part.
-pub fn blocked<'a>(
-    params: &Params,
-    all: &[Placed],
-    grasps: impl IntoIterator<Item = &'a Grasp>,
-    why: &mut [Option<Blocked>],
-) {
+pub fn blocked(params: &Params, all: &[Placed], grasps: &mut [Grasp], why: &mut [Option<Blocked>]) {
     why[..all.len()].fill(None);
     for (k, first) in all.iter().enumerate() {
         for (other, second) in all[..k].iter().enumerate() {
@@ -207,12 +222,28 @@ pub fn blocked<'a>(
             }
         }
     }
-    for (index, (grasp, why)) in grasps.into_iter().zip(why).enumerate() {
+    for (index, (grasp, why)) in grasps.iter_mut().zip(why).enumerate() {
         let others = || all.iter().enumerate().filter(|(k, _)| *k != index).map(|(_, p)| p);
-        *why = out_of_reach(params, &all[index], grasp)
-            .or(*why)
-            .or_else(|| (!fingers_fit(params, others(), grasp)).then_some(Blocked::NoRoom));
+        let by_crossing = *why;
+        let reason = |grasp: &Grasp| {
+            out_of_reach(params, &all[index], grasp)
+                .or(by_crossing)
+                .or_else(|| (!fingers_fit(params, others(), grasp)).then_some(Blocked::NoRoom))
+        };
+        *why = reason(grasp);
+        if matches!(why, Some(Blocked::NoRoom | Blocked::OutsideWorkspace)) && by_crossing.is_none() {
+            let mut slid = slides_mm(all[index].part.grasp.slide_mm).map(|by_mm| grasp.slid(by_mm));
+            if let Some(free) = slid.find(|grasp| reason(grasp).is_none()) {
+                (*grasp, *why) = (free, None);
+            }
+        }
     }
+}
+
+/// The places to which a grasp is tried to slide, the nearest first, either way up to this.
+fn slides_mm(most_mm: f64) -> impl Iterator<Item = f64> {
+    let steps = (most_mm / SLIDE_STEP_MM).ceil().min(SLIDE_STEPS_MAX);
+    (1..=steps as usize).flat_map(move |k| [1.0, -1.0].map(|way| way * most_mm * k as f64 / steps))
 }
 
 /// Why a part cannot be taken, were it alone in the bin.

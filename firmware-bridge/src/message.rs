@@ -47,6 +47,12 @@ impl Pose {
         let [x, y, z, w] = self.orientation_xyzw;
         [w * w + x * x - y * y - z * z, 2.0 * (x * y + z * w), 2.0 * (x * z - y * w)]
     }
+
+    /// Direction of the tool's y axis (along the wire between the fingers) in the base frame.
+    pub fn wire(&self) -> [f64; 3] {
+        let [x, y, z, w] = self.orientation_xyzw;
+        [2.0 * (x * y - z * w), w * w + y * y - x * x - z * z, 2.0 * (y * z + x * w)]
+    }
 }
 
 /// When the two pictures were taken that a pick rests on.
@@ -367,6 +373,7 @@ mod tests {
         let down = Pose { position_mm: [0.0; 3], orientation_xyzw: [1.0, 0.0, 0.0, 0.0] };
         assert_eq!(down.approach(), [0.0, 0.0, -1.0]);
         assert_eq!(down.closing(), [1.0, 0.0, 0.0]);
+        assert_eq!(down.wire(), [0.0, -1.0, 0.0]);
         let half = std::f64::consts::FRAC_1_SQRT_2;
         let about_z = Pose { position_mm: [0.0; 3], orientation_xyzw: [0.0, 0.0, half, half] };
         let [x, y, z] = about_z.closing();

@@ -27,7 +27,7 @@ fn of_two_known(yaw: f64, middle_mm: [f64; 3], sigma_mm: f64) -> (Crossing, [Opt
     });
     let params = Params::default();
     let mut why = [None; 2];
-    blocked(&params, &placed, &placed.map(|p| grasp_of(&params, &p)), &mut why);
+    blocked(&params, &placed, &mut placed.map(|p| grasp_of(&params, &p)), &mut why);
     (crossing(&params, &placed[0], &placed[1]), why)
 }
 
@@ -83,6 +83,7 @@ fn fingers_neither_close_on_two_wires_nor_rise_into_another() {
             orientation: UnitQuaternion::from_rotation_matrix(&tool),
             opening_mm: 8.0,
             tilt_rad: lean,
+            slid_mm: 0.0,
         };
         // Along the tool's y axis.
         let along = Rotation3::from_axis_angle(&Vector3::z_axis(), UPRIGHT) * turned_to_x(&model);
@@ -111,6 +112,44 @@ fn wires_side_by_side_are_in_the_way_of_fingers_and_not_on_each_other() {
         assert_eq!(crossing, Crossing::default(), "{beside_mm}");
         assert_eq!(why, [Some(Blocked::NoRoom); 2], "{beside_mm}");
     }
+}
+
+#[test]
+fn a_grasp_slides_along_the_wire_to_where_there_is_room() {
+    let mut part = Part::read(concat!(env!("CARGO_MANIFEST_DIR"), "/replay/parts/rod-90.toml")).unwrap();
+    let params = Params { base_from_left: None, ..Params::default() };
+    let mut taken = |slide_mm: f64, second_mm: f64| {
+        part.grasp.slide_mm = slide_mm;
+        let model = PoseModel::new(&part);
+        let turn = turned_to_x(&model);
+        let rods = [[0.0, 0.0], [second_mm, 5.2]].map(|[x_mm, y_mm]| {
+            let middle_mm = Vector3::new(x_mm, y_mm, 500.0);
+            Isometry3::from_parts((middle_mm - turn * model.centre_mm.coords).into(), turn.into())
+        });
+        let placed = rods.each_ref().map(|left_from_part| Placed {
+            part: &part,
+            model: &model,
+            left_from_part,
+            sigma_mm: Vector3::repeat(0.1),
+        });
+        let mut grasps = placed.map(|p| grasp_of(&params, &p));
+        let mut why = [None; 2];
+        blocked(&params, &placed, &mut grasps, &mut why);
+        (grasps, why)
+    };
+    // The second lies 5.2 mm beside the first, and begins 10 mm before its middle.
+    let (grasps, why) = taken(0.0, 35.0);
+    assert!(why == [Some(Blocked::NoRoom); 2] && grasps.iter().all(|grasp| grasp.slid_mm == 0.0));
+    let (grasps, why) = taken(30.0, 35.0);
+    assert_eq!(why, [None; 2]);
+    let [first, second] = grasps.map(|grasp| grasp.position_mm.x);
+    // Half a finger, and half the wire, away from its end, and no farther than needed.
+    let away_mm = Gripper::default().finger_width_mm / 2.0 + 1.5;
+    assert!((-10.0 - away_mm - SLIDE_STEP_MM..=-10.0 - away_mm).contains(&first), "{first}");
+    assert!((45.0 + away_mm..=45.0 + away_mm + SLIDE_STEP_MM).contains(&second), "{second}");
+    // Too little, and where no other place has room.
+    assert_eq!(taken(8.0, 35.0).1, [Some(Blocked::NoRoom); 2]);
+    assert_eq!(taken(40.0, 1.0).1, [Some(Blocked::NoRoom); 2]);
 }
 
 proptest! {

@@ -20,6 +20,9 @@ const THICKNESS_MIN_MM: f64 = 0.05;
 /// Approach and closing may be off the right angle by 1 degree (rounded digits); it is taken out.
 const SQUARE_TOLERANCE: f64 = 0.018;
 
+/// Wire along which a grasp may slide strays from a straight line by less than this share of its thickness.
+const STRAIGHT_SHARE: f64 = 0.1;
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct FileText {
@@ -63,6 +66,8 @@ struct GraspText {
     #[serde(deserialize_with = "exactly")]
     closing: [f64; 3],
     width_mm: f64,
+    #[serde(default)]
+    slide_mm: f64,
 }
 
 impl Part {
@@ -228,7 +233,12 @@ impl Check<'_> {
             let problem = format!("the fingers must open wider than thickness_mm = {thickness_mm}");
             return Err(self.value("grasp: width_mm", width_mm, &problem));
         }
-        Ok(PartGrasp { position_mm, approach, closing, width_mm })
+        let slide_mm = text.slide_mm;
+        if !(0.0..=COORDINATE_MAX_MM).contains(&slide_mm) {
+            let problem = format!("must be 0 to {COORDINATE_MAX_MM} mm");
+            return Err(self.value("grasp: slide_mm", slide_mm, &problem));
+        }
+        Ok(PartGrasp { position_mm, approach, closing, width_mm, slide_mm })
     }
 
     /// Sets what every node is, and checks that all hang together.
@@ -330,6 +340,20 @@ impl Check<'_> {
             let c = part.grasp.closing;
             let problem = "does not close across the wire; approach × closing must be the wire's direction at the grasp";
             return Err(self.value("grasp: closing", format!("[{}, {}, {}]", c.x, c.y, c.z), problem));
+        }
+        let slide_mm = part.grasp.slide_mm;
+        let is_wire = |along_mm: f64| {
+            let there = grasp + axis.into_inner() * along_mm;
+            let off_mm = near.iter().map(|p| (p.position_mm - there).norm()).fold(f64::MAX, f64::min);
+            off_mm < least + 0.5 * step_mm + STRAIGHT_SHARE * part.thickness_mm
+        };
+        let steps = (slide_mm / step_mm).ceil() as usize;
+        let slides = (1..=steps).map(|k| slide_mm * k as f64 / steps as f64);
+        let possible_mm = slides.take_while(|mm| is_wire(*mm) && is_wire(-mm)).last().unwrap_or(0.0);
+        if possible_mm < slide_mm {
+            let problem =
+                format!("the wire ends or bends so far from position_mm; {possible_mm:.1} mm are possible");
+            return Err(self.value("grasp: slide_mm", slide_mm, &problem));
         }
         Ok(())
     }

@@ -95,6 +95,9 @@ pub struct PartGrasp {
     pub closing: Unit<Vector3<f64>>,
     /// Opening of the fingers, in mm.
     pub width_mm: f64,
+    /// How far from there along the wire, which is straight so far, the part may be taken as well, either way, in mm: where
+    /// there is no room for the fingers, say.
+    pub slide_mm: f64,
 }
 
 /// A rotation that maps the part onto itself.

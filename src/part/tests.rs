@@ -32,6 +32,22 @@ fn the_symmetries_of_the_five_parts_are_found_from_their_shape() {
 }
 
 #[test]
+fn grasps_slide_only_where_the_file_allows() {
+    let with = |slide: &str| {
+        let hook = format!(
+            "name='v'\nthickness_mm=2\nnode=[{{name='a',position_mm=[40,0,0]}},{{name='b',position_mm=[0,30,0]}}]\n\
+             edge=[{{from='a',to='b',via=[[0,0,0]]}}]\n\
+             [grasp]\nposition_mm=[20,0,0]\napproach=[0,0,-1]\nclosing=[0,1,0]\nwidth_mm=8\n{slide}"
+        );
+        Part::parse(&hook, "v.toml")
+    };
+    assert_eq!(with("").unwrap().grasp.slide_mm, 0.0);
+    assert_eq!(with("slide_mm=15").unwrap().grasp.slide_mm, 15.0);
+    // Beyond, one way the wire ends, the other way it bends.
+    assert!(with("slide_mm=25").unwrap_err().to_string().contains("mm are possible"));
+}
+
+#[test]
 fn a_planar_hook_with_equal_legs_turns_over_and_a_cross_has_eight_turns() {
     let hook = "name='v'\nthickness_mm=2\nnode=[{name='a',position_mm=[30,0,0]},{name='b',position_mm=[0,30,0]}]\n\
                 edge=[{from='a',to='b',via=[[0,0,0]]}]\n\
@@ -197,6 +213,12 @@ fn what_is_wrong_in_a_part_file_is_named() {
             "width_mm = 2.0",
             "grasp: width_mm = 2: the fingers must open wider than thickness_mm = 2.5",
         ),
+        (
+            "width_mm = 8.0",
+            "width_mm = 8.0\nslide_mm = 40.0",
+            "grasp: slide_mm = 40: the wire ends or bends so far from position_mm; 15.",
+        ),
+        ("width_mm = 8.0", "width_mm = 8.0\nslide_mm = -1.0", "grasp: slide_mm = -1: must be 0 to"),
         ("[[edge]]\nfrom = \"c\"\nto = \"j\"\nvia = []", "", "node c is on no edge"),
         (
             "[grasp]",

@@ -11,7 +11,7 @@ use super::unknown::Taken;
 use super::views::views;
 use super::{Recognizer, rig_of};
 use crate::frame::FramePair;
-use crate::grasp::{self, Blocked, Placed};
+use crate::grasp::{self, Blocked, Grasp, Placed};
 use crate::time::Watch;
 
 impl Recognizer {
@@ -35,9 +35,9 @@ impl Recognizer {
             .map(|e| e.light.displaced(&lamp_radii) * -prepared(e).pose_model.radius_mm);
         let beside_mm: ArrayVec<Vector3<f64>, PARTS_MAX> = beside.collect();
         explanations.displace(beside_mm.iter());
-        let standing = explanations.standing().zip(&beside_mm);
-        out.parts.extend(standing.map(|(explanation, beside_mm)| {
-            found(params, rig, pictures, prepared(explanation), explanation, beside_mm, out.spent.iterations)
+        let standing = explanations.standing();
+        out.parts.extend(standing.map(|explanation| {
+            found(params, rig, pictures, prepared(explanation), explanation, out.spent.iterations)
         }));
         in_time
     }
@@ -49,13 +49,18 @@ impl Recognizer {
         let placed: ArrayVec<Placed, PARTS_MAX> =
             out.parts.iter().map(|f| parts[f.part].placed(&f.left_from_part, f.sigma_mm)).collect();
         let mut blocked = [None; PARTS_MAX];
-        grasp::blocked(&params.grasp, &placed, out.parts.iter().map(|f| &f.grasp), &mut blocked);
+        let mut grasps: ArrayVec<Grasp, PARTS_MAX> = out.parts.iter().map(|f| f.grasp).collect();
+        grasp::blocked(&params.grasp, &placed, &mut grasps, &mut blocked);
         drop(placed);
         let turned = out.turned.is_some_and(|turned| turned.doubt.is_some()).then_some(Blocked::Turned);
         unknown.find(pictures, explanations.claims());
-        for ((found, blocked), explanation) in out.parts.iter_mut().zip(blocked).zip(explanations.standing())
-        {
-            let uncertain = (!found.proven).then_some(Blocked::Uncertain);
+        let judged = grasps.iter().zip(blocked).zip(explanations.standing());
+        for (found, ((grasp, blocked), explanation)) in out.parts.iter_mut().zip(judged) {
+            if grasp.slid_mm != 0.0 {
+                found.slide_to(grasp, &params.grasp, &parts[found.part], explanation);
+            }
+            let is_certain = found.proven && found.sigma_mm.max() <= params.grasp.sigma_mm_max;
+            let uncertain = (!is_certain).then_some(Blocked::Uncertain);
             found.blocked = blocked.or(uncertain).or(turned).or_else(|| {
                 let prepared = &parts[found.part];
                 let taken = Taken { params: &params.grasp, rig, prepared, explanation, found };

@@ -1,25 +1,25 @@
 //! How far a result may be off.
 
-use nalgebra::{Isometry3, Matrix6, Vector3};
+use nalgebra::{Isometry3, Vector3};
 
+use super::explanations::Explanation;
 use super::prepared::Prepared;
-use crate::grasp;
+use crate::grasp::{self, Grasp};
 
 /// What is not known of how far a lamp displaces parts, as a share of it.
 const LAMP_DOUBT: f64 = 0.7;
 
 /// Standard deviations of the grasp's position (along the output frame's axes) and the root mean square angle between
-/// the wire's direction there and the true one. `covariance` is that of
-/// [`Refine::covariance`](crate::pose::refine::Refine::covariance), `beside_mm` by how much it was moved for
-/// the lamp, in the left camera's frame.
+/// the wire's direction there and the true one.
 pub(super) fn sigmas(
     params: &grasp::Params,
     prepared: &Prepared,
     pose: &Isometry3<f64>,
-    covariance: &Matrix6<f64>,
-    beside_mm: &Vector3<f64>,
+    explanation: &Explanation,
+    grasp: &Grasp,
 ) -> (Vector3<f64>, f64) {
-    let arm = pose * prepared.part.grasp.position_mm - pose * prepared.pose_model.centre_mm;
+    let Explanation { covariance, beside_mm, .. } = explanation;
+    let arm = grasp.position_left_mm(params) - pose * prepared.pose_model.centre_mm;
     let shift = covariance.fixed_view::<3, 3>(0, 0);
     let turn = covariance.fixed_view::<3, 3>(3, 3);
     let mixed = covariance.fixed_view::<3, 3>(0, 3);

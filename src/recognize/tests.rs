@@ -237,6 +237,37 @@ fn parts_that_look_longer_than_their_files_are_told() {
 }
 
 #[test]
+fn parts_are_taken_beside_their_grasp_where_there_is_no_room_at_it() {
+    let (session, rig) = conveyor();
+    let rod = Part::read(concat!(env!("CARGO_MANIFEST_DIR"), "/replay/parts/rod-90.toml")).unwrap();
+    let [mut at_it, mut beside] = [0.0, 30.0].map(|slide_mm| {
+        let mut rod = rod.clone();
+        rod.grasp.slide_mm = slide_mm;
+        Recognizer::new(Params::default(), rig, vec![rod]).unwrap()
+    });
+    let mut offered = [0; 2];
+    for pair in [0, 3, 6, 9] {
+        let frames = frames(&session, pair, [0, 0]);
+        let found = [&mut at_it, &mut beside].map(|recognizer| run(recognizer, &frames));
+        for (offered, found) in offered.iter_mut().zip(&found) {
+            *offered += found.parts.iter().filter(|part| part.blocked.is_none()).count();
+        }
+        for part in &found[1].parts {
+            let at_it = found[0].parts.iter().find(|p| p.left_from_part == part.left_from_part).unwrap();
+            let moved_mm = part.grasp.position_mm - at_it.grasp.position_mm;
+            assert!((moved_mm - at_it.grasp.axis * part.grasp.slid_mm).norm() < 1e-9);
+            if part.grasp.slid_mm == 0.0 {
+                assert_eq!(part, at_it);
+            } else {
+                assert_eq!(at_it.blocked, Some(Blocked::NoRoom));
+                assert!(part.grasp.slid_mm.abs() <= 30.0 && part.sigma_mm != at_it.sigma_mm);
+            }
+        }
+    }
+    assert!(offered[1] > offered[0] + 3, "{offered:?}");
+}
+
+#[test]
 fn nothing_is_offered_where_the_ends_of_wire_do_not_lie_where_they_should() {
     let (session, rig) = conveyor();
     for rows_px in [60.0, -90.0] {

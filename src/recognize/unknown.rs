@@ -99,9 +99,9 @@ impl Taken<'_> {
     /// Whether both pictures show object where a finger comes down that no recognised part has: a wire that lies along the
     /// part or ends on it has no skeleton of its own.
     fn is_met_by_mask(&self, pictures: &[Picture; 2], claims: &[ClaimMap; 2]) -> bool {
-        let Self { params, rig, prepared, found, .. } = self;
+        let Self { params, rig, found, .. } = self;
         let (gripper, grasp) = (&params.gripper, &found.grasp);
-        let at_mm = found.left_from_part * prepared.part.grasp.position_mm;
+        let at_mm = found.grasp.position_left_mm(params);
         let left_from_out =
             params.base_from_left.map_or(UnitQuaternion::identity(), |pose| pose.rotation.inverse());
         let left_from_tool = left_from_out * grasp.orientation;
@@ -162,7 +162,7 @@ impl Taken<'_> {
     /// Whether some of this wire is not the part's own and comes near one of these.
     fn is_met(&self, side: usize, wire_px: impl Iterator<Item = Vector2<f64>>, near: &[Near]) -> bool {
         let Self { params, rig, prepared, explanation, found } = self;
-        let at_mm = found.left_from_part * prepared.part.grasp.position_mm;
+        let at_mm = found.grasp.position_left_mm(params);
         let grasp_px = if side == 0 { rig.project_left(&at_mm) } else { rig.project_right(&at_mm) };
         let all = &explanation.verdict.pieces;
         // What is not seen may be anywhere.

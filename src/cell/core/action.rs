@@ -120,7 +120,7 @@ pub enum NoPick {
 
 impl NoPick {
     /// All reasons in words; [`NoPick::kind`] is an index into it.
-    pub const KINDS: [&str; 21] = [
+    pub const KINDS: [&str; 22] = [
         "bin empty",
         "nothing recognised",
         "all blocked",
@@ -128,6 +128,7 @@ impl NoPick {
         "bad picture",
         "picture over limits",
         "no base_from_left",
+        "cameras mixed up",
         "too late",
         "no arm",
         "arm not connected",
@@ -148,20 +149,20 @@ impl NoPick {
     pub fn kind(&self) -> usize {
         match self {
             NoPick::Nothing(nothing) => *nothing as usize,
-            NoPick::Late => 7,
-            NoPick::NoArm => 8,
-            NoPick::ArmAbsent => 9,
-            NoPick::OnHold => 10,
-            NoPick::InAlarm => 11,
-            NoPick::ArmNotReady => 12,
-            NoPick::ArmBusy => 13,
-            NoPick::NotClear => 14,
-            NoPick::SlotNotSaved => 15,
-            NoPick::PlaceFull => 16,
-            NoPick::AllDeferred => 17,
-            NoPick::Gate(_) => 18,
-            NoPick::Stopping => 19,
-            NoPick::Superseded => 20,
+            NoPick::Late => 8,
+            NoPick::NoArm => 9,
+            NoPick::ArmAbsent => 10,
+            NoPick::OnHold => 11,
+            NoPick::InAlarm => 12,
+            NoPick::ArmNotReady => 13,
+            NoPick::ArmBusy => 14,
+            NoPick::NotClear => 15,
+            NoPick::SlotNotSaved => 16,
+            NoPick::PlaceFull => 17,
+            NoPick::AllDeferred => 18,
+            NoPick::Gate(_) => 19,
+            NoPick::Stopping => 20,
+            NoPick::Superseded => 21,
         }
     }
 }

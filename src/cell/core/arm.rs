@@ -4,7 +4,7 @@ use firmware_bridge::message::{Command, Failure, HeldBy, Pick, Report};
 
 use super::action::{Action, Actions, Alarm, Ending, Note, TargetEnd};
 use super::count::Cause;
-use super::event::Operator;
+use super::event::{Candidate, Operator};
 use super::{Core, Phase, State};
 use crate::time::Timestamp;
 
@@ -27,7 +27,7 @@ struct Unfinished {
     id: u64,
     stage: State,
     part: u16,
-    position_mm: [f64; 3],
+    filed_mm: [f64; 3],
     failures_before: u32,
     seen_ns: i64,
     /// Over by then, or lost.
@@ -123,7 +123,13 @@ impl ArmSide {
         (self.session, self.sequence.wrapping_add(1))
     }
 
-    pub(super) fn order(&mut self, pick: &Pick, part: u16, failures_before: u32, until: Timestamp) {
+    pub(super) fn order(
+        &mut self,
+        pick: &Pick,
+        candidate: &Candidate,
+        failures_before: u32,
+        until: Timestamp,
+    ) {
         self.sequence = pick.sequence;
         self.next_id = self.next_id.max(pick.id + 1);
         self.ready = false;
@@ -132,8 +138,8 @@ impl ArmSide {
         self.unfinished = Some(Unfinished {
             id: pick.id,
             stage: State::Ordered,
-            part,
-            position_mm: pick.recognised_mm,
+            part: candidate.part,
+            filed_mm: candidate.filed_mm(),
             failures_before,
             seen_ns: pick.seen.earliest_ns(),
             until,
@@ -380,7 +386,7 @@ impl Core {
         };
         let until = Timestamp(now.0.saturating_add(self.params.defer_ns));
         let same_part_mm = self.params.same_part_mm;
-        self.tried.failed(target.part, target.position_mm, failures, same_part_mm, (now, until));
+        self.tried.failed(target.part, target.filed_mm, failures, same_part_mm, (now, until));
     }
 
     pub(super) fn operator(&mut self, operator: Operator, now: Timestamp, actions: &mut Actions) {

@@ -92,8 +92,8 @@ impl Core {
         self.may_send(pair)?;
         let mut refused = None;
         for (i, candidate) in found.candidates().iter().enumerate() {
-            let position_mm = candidate.grasp.0.position_mm;
-            let failures = self.tried.failures(candidate.part, position_mm, self.params.same_part_mm, now);
+            let failures =
+                self.tried.failures(candidate.part, candidate.filed_mm(), self.params.same_part_mm, now);
             if failures > self.settings.arm.retries {
                 continue;
             }
@@ -193,7 +193,7 @@ impl Core {
         self.tried.said = false;
         self.counts.add(Cause::Ordered, 1);
         let timeout_ns = i64::from(self.settings.arm.pick_timeout_ms) * 1_000_000;
-        self.arm.order(&pick, candidate.part, failures, Timestamp(now.0.saturating_add(timeout_ns)));
+        self.arm.order(&pick, candidate, failures, Timestamp(now.0.saturating_add(timeout_ns)));
         actions.push(Action::Arm(Command::Pick(pick)));
     }
 

@@ -88,6 +88,19 @@ pub struct Candidate {
     pub grasp: Grasp,
     /// Distance of the fingers at the approach, mm.
     pub opening_mm: f64,
+    /// How far along the wire the grasp is from where the part file has it, mm.
+    #[serde(default)]
+    pub slid_mm: f64,
+}
+
+impl Candidate {
+    /// Where the part file has its grasp, in the base frame: there the part is found again in the next pair, wherever on it
+    /// there is room then.
+    pub(in crate::cell) fn filed_mm(&self) -> [f64; 3] {
+        let Pose { position_mm, .. } = self.grasp.0;
+        let wire = self.grasp.0.wire();
+        std::array::from_fn(|k| position_mm[k] - self.slid_mm * wire[k])
+    }
 }
 
 /// A grasp pose that has a default: at the origin, pointing straight down.
@@ -117,6 +130,8 @@ pub enum Nothing {
     OverLimits,
     /// Parts were recognised, but cell.toml does not say where the cameras stand (`rig.base_from_left`).
     NoBase,
+    /// Both pictures are of one camera, or each is the other camera's.
+    MixedUp,
 }
 
 /// What a recognition found, as far as decisions go.

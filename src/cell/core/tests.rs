@@ -57,7 +57,12 @@ pub(super) fn down(position_mm: [f64; 3]) -> Pose {
 pub(super) fn found(positions_mm: &[[f64; 3]]) -> Found {
     let mut found = Found { parts: positions_mm.len() as u16, ..Found::default() };
     for &position_mm in positions_mm {
-        found.push(Candidate { part: 0, fitness: 0.1, grasp: Grasp(down(position_mm)), opening_mm: 8.0 });
+        found.push(Candidate {
+            fitness: 0.1,
+            grasp: Grasp(down(position_mm)),
+            opening_mm: 8.0,
+            ..Default::default()
+        });
     }
     found
 }

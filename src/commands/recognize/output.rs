@@ -65,6 +65,7 @@ struct GraspResult {
     axis: [f64; 3],
     orientation_xyzw: [f64; 4],
     frame: &'static str,
+    slid_mm: f64,
 }
 
 /// A bad pair of a folder.
@@ -268,6 +269,7 @@ impl<'a> PartResult<'a> {
                 axis: unit(&found.grasp.axis),
                 orientation_xyzw: quaternion(&found.grasp.orientation),
                 frame,
+                slid_mm: round(found.grasp.slid_mm, 1e5),
             },
             sigma_mm: rounded(found.sigma_mm.into(), 1e5),
             sigma_axis_deg: round(found.sigma_axis_rad.to_degrees(), 1e5),

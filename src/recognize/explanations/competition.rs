@@ -137,6 +137,7 @@ impl Explanations {
     pub(in crate::recognize) fn displace<'a>(&mut self, by_mm: impl Iterator<Item = &'a Vector3<f64>>) {
         for (&index, by_mm) in self.standing.iter().zip(by_mm) {
             self.list[index].fit.left_from_part.translation.vector += by_mm;
+            self.list[index].beside_mm = *by_mm;
         }
     }
 

@@ -49,6 +49,8 @@ pub(super) struct Explanation {
     pub(super) turn: TurnSeen,
     /// How the light lies on its wire, where it stands in the end.
     pub(super) light: Light,
+    /// By how much it was moved for the lamp, mm, in the left camera's frame.
+    pub(super) beside_mm: Vector3<f64>,
     /// Whether it is proved, see [`select::is_proven`], where it stands in the end.
     pub(super) is_proven: bool,
     /// Where its free ends are expected, left and right, that both pictures show.
@@ -134,6 +136,7 @@ impl Explanations {
             covariance: Matrix6::zeros(),
             turn: TurnSeen::default(),
             light: Light::default(),
+            beside_mm: Vector3::zeros(),
             is_proven: false,
             ends_px: ArrayVec::new(),
             has_ends: false,
