@@ -82,7 +82,7 @@ impl Campaign<'_> {
         if let Some(work) = self.carrier.take_work() {
             let mut found = Found { parts: 1, ..Found::default() };
             let pose = Pose { position_mm: [x_mm, 50.0, 10.0], orientation_xyzw: [1.0, 0.0, 0.0, 0.0] };
-            found.push(Candidate { part: 0, fitness: 0.1, grasp: Grasp(pose), opening_mm: 8.0 });
+            found.push(Candidate { fitness: 0.1, grasp: Grasp(pose), opening_mm: 8.0, ..Default::default() });
             let search_ns = self.rng.random_range(2 * MS..70 * MS);
             self.pass(search_ns);
             self.carrier.letter(Letter::Recognised(work.job.pair.number, found, work.file), self.now);

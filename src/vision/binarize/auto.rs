@@ -12,10 +12,13 @@
 //! percentile) and the contrast of the parts (its upper end). Clear is twice as bright; less may be a bin's rim beside its
 //! dark wall. Where nothing is clear the background is closed (for dark parts opened), which takes the shadow of such a wall
 //! out of it, and so the contrast from the rim: then less will do, of bright parts on a light floor or dark ones on a grey
-//! one. Without brighter samples nothing is object.
+//! one. Before that, pixels that are clear against most of the background are looked for between the samples: the last
+//! part in a bin may be less of the picture than they can tell. Without any of these nothing is object.
 //! Else the threshold lies a third of the way from background to parts, and a quarter of the way near samples that
 //! are beyond half way: so dim ends of a part are kept while the bin's rim, dim all along, is not. Between the
 //! samples thresholds are interpolated.
+
+mod lone;
 
 use super::grid::{self, MARGIN};
 use crate::vision::bits::BitImage;
@@ -66,6 +69,9 @@ pub(super) struct Auto {
 /// What is known of every sample. All arrays have `pitch` columns, and a margin that the sliding windows need.
 #[derive(Clone, Debug)]
 struct Grid {
+    /// Pixels of the picture.
+    width: usize,
+    height: usize,
     /// Pixels from one sample to the next; even.
     step: usize,
     columns: usize,
@@ -95,6 +101,15 @@ struct Contrasts {
     strong: f32,
 }
 
+impl Contrasts {
+    /// Between the background and parts of this contrast, and no less than the least.
+    #[inline(always)]
+    fn between(parts: f32, least: f32) -> Self {
+        let way = |share: f32| (1.0 + share * (parts - 1.0)).max(least);
+        Self { near: way(NEAR), elsewhere: way(ELSEWHERE), strong: way(STRONG) }
+    }
+}
+
 impl Auto {
     /// Memory for pictures of this size; only samples in `region` count.
     pub(super) fn new(width: usize, height: usize, region: Option<&BitImage>) -> Self {
@@ -118,7 +133,11 @@ pub(super) fn run(
         luma_row(y * grid.step + grid.step / 2, row);
         grid.sample(y, row);
     }
-    if !(if dark { thresholds_for::<true>(grid) } else { thresholds_for::<false>(grid) }) {
+    let is_found = match dark {
+        true => thresholds_for::<true>(grid, row, &luma_row),
+        false => thresholds_for::<false>(grid, row, &luma_row),
+    };
+    if !is_found {
         bits.clear();
         return;
     }
@@ -148,6 +167,8 @@ impl Grid {
         }
         let zeros = vec![0; (pitch * (rows + 2 * MARGIN)).next_multiple_of(64) + 64];
         Self {
+            width,
+            height,
             step,
             columns,
             rows,
@@ -213,14 +234,25 @@ impl Grid {
 
 /// Luma to thresholds, both in `level`; whether there is anything to be found.
 #[inline(always)]
-fn thresholds_for<const DARK: bool>(grid: &mut Grid) -> bool {
+fn thresholds_for<const DARK: bool>(
+    grid: &mut Grid,
+    row: &mut [u8],
+    luma_row: impl Fn(usize, &mut [u8]),
+) -> bool {
     let (rows, columns, pitch) = (grid.rows, grid.columns, grid.pitch);
     grid::pad(&grid.level, &mut grid.background, rows, columns, pitch);
     grid::slide::<DARK>(&mut grid.background, pitch);
     grid::slide_back::<DARK>(&mut grid.background, pitch);
     see_through::<DARK>(grid);
     contrasts::<DARK>(grid);
+    if grid.inside == 0 {
+        return false;
+    }
     let found = match grid.contrasts(CONTRAST_MIN) {
+        Some(found) => Some(found),
+        None => lone::find::<DARK>(grid, row, luma_row),
+    };
+    let found = match found {
         Some(found) => found,
         None => {
             // Parts that stand out less than a rim beside its wall's shadow may: without the shadow the rim does not.
@@ -369,29 +401,36 @@ impl Grid {
         if DARK { usual / (usual - levels).max(1.0) } else { (usual + levels) / usual }
     }
 
-    /// Thresholds from the histogram of the contrasts; `None` where no parts stand out by `contrast_min`.
+    /// The contrast that so many samples inside the region are below, which has some.
+    #[inline(always)]
+    fn contrast_at(&self, rank: usize) -> f32 {
+        // All that is not a sample inside the region is 0, below every contrast.
+        let outside = self.contrast.len() - self.inside;
+        f32::from(grid::ranked(&self.contrast, outside + rank)) / CONTRAST_STEPS
+    }
+
+    /// The contrast beyond which is no noise of the background.
+    #[inline(always)]
+    fn least_contrast(&self) -> f32 {
+        let median = self.contrast_at(self.inside / 2);
+        median + SIGMAS * (median - self.contrast_at(self.inside * 16 / 100)).max(SIGMA_MIN)
+    }
+
+    /// Thresholds from the histogram of the contrasts inside the region, which has some samples; `None` where no parts stand
+    /// out by `contrast_min`.
     #[inline(always)]
     fn contrasts(&self, contrast_min: f32) -> Option<Contrasts> {
         let contrast = &self.contrast[..];
-        // All that is not a sample inside the region is 0, below every contrast.
-        let outside = contrast.len() - self.inside;
-        let at = |rank: usize| f32::from(grid::ranked(contrast, outside + rank)) / CONTRAST_STEPS;
-        if self.inside == 0 {
-            return None;
-        }
-        let median = at(self.inside / 2);
-        let sigma = (median - at(self.inside * 16 / 100)).max(SIGMA_MIN);
-        let parts = at(self.inside - 1 - self.inside / SAMPLES_PER_PART);
-        let least = median + SIGMAS * sigma;
+        let parts = self.contrast_at(self.inside - 1 - self.inside / SAMPLES_PER_PART);
+        let least = self.least_contrast();
         let standing_out = contrast_min.max(least);
         if parts < standing_out {
             return None;
         }
         let dimmer = contrast.iter().filter(|&&c| f32::from(c) < standing_out * CONTRAST_STEPS).count();
-        let usual = at(dimmer - outside + (contrast.len() - dimmer) / 2);
-        let parts = parts.min(1.0 + BRIGHTEST_MAX * (usual - 1.0));
-        let way = |share: f32| (1.0 + share * (parts - 1.0)).max(least);
-        Some(Contrasts { near: way(NEAR), elsewhere: way(ELSEWHERE), strong: way(STRONG) })
+        let outside = contrast.len() - self.inside;
+        let usual = self.contrast_at(dimmer - outside + (contrast.len() - dimmer) / 2);
+        Some(Contrasts::between(parts.min(1.0 + BRIGHTEST_MAX * (usual - 1.0)), least))
     }
 }
 
