@@ -287,6 +287,9 @@ fn for_leg_pairs(
     }
 }
 
+/// Cosine of the angle between the directions of a leg in both pictures, at least.
+const ALIKE_COS_MIN: f64 = 0.86;
+
 /// Directions in space of the legs that both pictures show.
 fn space_legs(
     params: &SingleParams,
@@ -294,8 +297,14 @@ fn space_legs(
     node: &StereoNode,
     [left, right]: [&ImageNode; 2],
 ) -> ArrayVec<SpaceLeg, SPACE_LEGS_MAX> {
+    // What is across the line of sight of both: one camera may be rolled against the other.
+    let across = rig.right_from_left.rotation.to_rotation_matrix();
+    let across = across.matrix().fixed_view::<2, 2>(0, 0).into_owned();
     let pairs = left.legs().iter().flat_map(|l| right.legs().iter().map(move |r| (l, r)));
-    let alike = pairs.filter(|(l, r)| l.direction_px.dot(&r.direction_px) >= 0.86);
+    let alike = pairs.filter(|(l, r)| {
+        let seen_by_right = across * l.direction_px;
+        seen_by_right.dot(&r.direction_px) >= ALIKE_COS_MIN * seen_by_right.norm()
+    });
     let legs = alike.filter_map(|(l, r)| match leg_direction(rig, l, r) {
         Some((direction, hold)) if hold >= params.hold_min => Some(SpaceLeg { direction, towards: None }),
         _ => level_direction(node, l)

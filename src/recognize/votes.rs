@@ -149,6 +149,7 @@ impl Votes {
         let left_from_right = rig.right_from_left.rotation.inverse().to_rotation_matrix();
         let axes_from = [axes_from_left, axes_from_left * left_from_right.matrix()];
         for (side, camera) in [&rig.left, &rig.right].into_iter().enumerate() {
+            let across = axes_from[side].fixed_view::<2, 2>(0, 0).into_owned();
             let ends = &mut self.ends[side];
             ends.clear();
             for node in nodes[side].iter().filter(|node| node.role == NodeRole::End && node.end_visible) {
@@ -160,7 +161,7 @@ impl Votes {
                 }
                 ends.push(End {
                     at_px: ray.xy() * (focal_px / ray.z),
-                    direction: leg.direction_px,
+                    direction: across * leg.direction_px,
                     half_thickness_px: node.half_thickness_px,
                 });
             }
@@ -172,7 +173,8 @@ impl Votes {
             for r in right {
                 let apart_px = r.at_px - l.at_px;
                 if apart_px.y.abs() > ROWS_PX_MAX + RIM_PX_MAX as f64
-                    || l.direction.dot(&r.direction) < DIRECTION_COS_MIN
+                    || l.direction.dot(&r.direction)
+                        < DIRECTION_COS_MIN * l.direction.norm() * r.direction.norm()
                 {
                     continue;
                 }

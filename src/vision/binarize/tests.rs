@@ -378,3 +378,40 @@ fn parts_on_a_floor_of_any_grey_are_found_and_a_rim_beside_its_dark_wall_is_none
         }
     }
 }
+
+#[test]
+fn a_lone_part_between_the_samples_is_found_and_a_rim_beside_a_dark_wall_is_not() {
+    // A floor; wires of sixty pixels and a picture of rim and wall between the rows and columns that are sampled, 4 modulo 8.
+    let (floor, wall, rim, part) = (75u8, 20, 82, 200);
+    let picture = |is_part: fn(usize, usize) -> bool, is_dark: bool| {
+        let pixels = (0..480usize).flat_map(|y| (0..640usize).map(move |x| (x, y))).map(|(x, y)| {
+            let level = match y {
+                _ if is_part(x, y) => part,
+                440..456 if (445..447).contains(&y) => rim,
+                440..456 => wall,
+                _ => floor,
+            };
+            if is_dark { 255 - level } else { level }
+        });
+        Frame::from_grey(640, 480, pixels.collect())
+    };
+    for is_dark in [false, true] {
+        let params = Params { colour: ColourRange::Auto, inverted: is_dark, ..Params::default() };
+        for &level in Level::available() {
+            let level_wire: fn(usize, usize) -> bool =
+                |x, y| (205..209).contains(&y) && (301..361).contains(&x);
+            let upright: fn(usize, usize) -> bool = |x, y| (201..261).contains(&y) && (301..304).contains(&x);
+            for is_part in [level_wire, upright] {
+                let bits = run(&params, level, &picture(is_part, is_dark));
+                for y in 0..480 {
+                    for x in 0..640 {
+                        let found = bits.get(x as i32, y as i32);
+                        assert_eq!(found, is_part(x, y), "({x}, {y}), dark {is_dark}, {level:?}");
+                    }
+                }
+            }
+            let empty = run(&params, level, &picture(|_, _| false, is_dark));
+            assert!(empty.words().iter().all(|&word| word == 0), "dark {is_dark}, {level:?}");
+        }
+    }
+}
