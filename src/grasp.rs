@@ -162,6 +162,9 @@ const BESIDE_MIN: f64 = 0.6;
 const SLIDE_STEP_MM: f64 = 2.0;
 const SLIDE_STEPS_MAX: f64 = 16.0;
 
+/// A part's own wire no farther from the line of the wire that is gripped, in its radii, goes on along it.
+const GRIPPED_RADII: f64 = 1.5;
+
 /// Direction straight down in the left camera's frame.
 pub fn down_in_left(params: &Params) -> Vector3<f64> {
     params.base_from_left.unwrap_or_default().rotation.inverse() * down(params)
@@ -223,12 +226,17 @@ pub fn blocked(params: &Params, all: &[Placed], grasps: &mut [Grasp], why: &mut 
         }
     }
     for (index, (grasp, why)) in grasps.iter_mut().zip(why).enumerate() {
-        let others = || all.iter().enumerate().filter(|(k, _)| *k != index).map(|(_, p)| p);
         let by_crossing = *why;
         let reason = |grasp: &Grasp| {
+            // Where the part file has it, its author has seen to it that the fingers do not meet the part's other wires.
+            let is_in_the_way = |(k, placed): (usize, &Placed)| match k == index {
+                true => grasp.slid_mm != 0.0 && meets_fingers(params, placed, grasp, true),
+                false => meets_fingers(params, placed, grasp, false),
+            };
+            let has_no_room = || all.iter().enumerate().any(is_in_the_way);
             out_of_reach(params, &all[index], grasp)
                 .or(by_crossing)
-                .or_else(|| (!fingers_fit(params, others(), grasp)).then_some(Blocked::NoRoom))
+                .or_else(|| has_no_room().then_some(Blocked::NoRoom))
         };
         *why = reason(grasp);
         if matches!(why, Some(Blocked::NoRoom | Blocked::OutsideWorkspace)) && by_crossing.is_none() {
@@ -376,14 +384,16 @@ pub fn fingers_reach_mm(gripper: &Gripper, grasp: &Grasp) -> f64 {
     (grasp.opening_mm / 2.0 + gripper.finger_thickness_mm).hypot(gripper.finger_width_mm / 2.0)
 }
 
-/// Whether both fingers can come down beside the wire and rise with it without meeting another part; what lies between them
-/// would be gripped as well.
-fn fingers_fit<'a>(params: &Params, mut others: impl Iterator<Item = &'a Placed<'a>>, grasp: &Grasp) -> bool {
+/// Whether a part is met by the fingers that come down beside a wire and rise with it, or lies between them and would be
+/// gripped as well; but for the wire itself, where it is `its_own`.
+fn meets_fingers(params: &Params, placed: &Placed, grasp: &Grasp, its_own: bool) -> bool {
     let gripper = &params.gripper;
     let out_from_left = params.base_from_left.unwrap_or_default();
     let tool_from_out = Isometry3::from_parts(grasp.position_mm.into(), grasp.orientation).inverse();
     let tool_from_left = tool_from_out * out_from_left;
-    let retreat = tool_from_out * -down(params) * gripper.retreat_mm;
+    // The part's own wires rise with the fingers.
+    let retreat_mm = if its_own { 0.0 } else { gripper.retreat_mm };
+    let retreat = tool_from_out * -down(params) * retreat_mm;
     // In shares of the retreat: while a place, which sinks past the fingers then, is within a distance of their middle.
     let within = |at: f64, by: f64, mm: f64| {
         let [a, b] = [(at - mm) / by, (at + mm) / by];
@@ -403,16 +413,16 @@ fn fingers_fit<'a>(params: &Params, mut others: impl Iterator<Item = &'a Placed<
         let depth_mm = |share: f64| at.z - retreat.z * share;
         from < to && depth_mm(from).min(depth_mm(to)) < gripper.finger_depth_mm + radius_mm
     };
-    !others.any(|Placed { model, left_from_part, .. }| {
-        let tool_from_part = tool_from_left * *left_from_part;
-        let (turn, shift) = (tool_from_part.rotation.to_rotation_matrix(), tool_from_part.translation);
-        let at = |place: &Point3<f64>| (shift * (turn * place)).coords;
-        let clusters = model.clusters.iter();
-        clusters.filter(|c| is_met(&at(&c.centre_mm), c.reach_mm + model.radius_mm)).any(|cluster| {
-            model.stations[cluster.stations.clone()].iter().any(|s| {
-                let (at, quarter) = (at(&s.position_mm), turn * s.tangent * (s.length_mm / 4.0));
-                is_met(&(at - quarter), model.radius_mm) || is_met(&(at + quarter), model.radius_mm)
-            })
+    let Placed { model, left_from_part, .. } = placed;
+    let tool_from_part = tool_from_left * *left_from_part;
+    let (turn, shift) = (tool_from_part.rotation.to_rotation_matrix(), tool_from_part.translation);
+    let at = |place: &Point3<f64>| (shift * (turn * place)).coords;
+    let is_gripped = |at: &Vector3<f64>| its_own && at.xz().norm() < GRIPPED_RADII * model.radius_mm;
+    let clusters = model.clusters.iter();
+    clusters.filter(|c| is_met(&at(&c.centre_mm), c.reach_mm + model.radius_mm)).any(|cluster| {
+        model.stations[cluster.stations.clone()].iter().any(|s| {
+            let (at, quarter) = (at(&s.position_mm), turn * s.tangent * (s.length_mm / 4.0));
+            [at - quarter, at + quarter].iter().any(|at| !is_gripped(at) && is_met(at, model.radius_mm))
         })
     })
 }

@@ -91,7 +91,7 @@ fn fingers_neither_close_on_two_wires_nor_rise_into_another() {
         let middle = grasp.position_mm + tool * Vector3::from(at_mm);
         let pose = Isometry3::from_parts((middle - turn * model.centre_mm).into(), turn.into());
         let other = Placed { part: &part, model: &model, left_from_part: &pose, sigma_mm: Vector3::zeros() };
-        fingers_fit(&Params::default(), std::iter::once(&other), &grasp)
+        !meets_fingers(&Params::default(), &other, &grasp, false)
     };
     let Gripper { finger_depth_mm, finger_thickness_mm, .. } = Gripper::default();
     let beside_mm = 4.0 + finger_thickness_mm + 1.2;
@@ -150,6 +150,24 @@ fn a_grasp_slides_along_the_wire_to_where_there_is_room() {
     // Too little, and where no other place has room.
     assert_eq!(taken(8.0, 35.0).1, [Some(Blocked::NoRoom); 2]);
     assert_eq!(taken(40.0, 1.0).1, [Some(Blocked::NoRoom); 2]);
+}
+
+#[test]
+fn fingers_that_slide_along_a_wire_keep_away_from_the_others_of_the_part() {
+    let tee = Part::read(concat!(env!("CARGO_MANIFEST_DIR"), "/replay/parts/tee.toml")).unwrap();
+    let model = PoseModel::new(&tee);
+    let pose = Isometry3::translation(0.0, 0.0, 500.0);
+    let placed = Placed { part: &tee, model: &model, left_from_part: &pose, sigma_mm: Vector3::zeros() };
+    let (params, radius_mm) = (Params::default(), tee.thickness_mm / 2.0);
+    let filed = grasp_of(&params, &placed);
+    // Its bar lies across the stem at the origin.
+    let to_bar_mm = tee.grasp.position_mm.coords.norm();
+    let towards_bar = -(filed.axis.dot(&tee.grasp.position_mm.coords)).signum();
+    let reach_mm = params.gripper.finger_width_mm / 2.0 + radius_mm;
+    let meets =
+        |to_bar: f64| meets_fingers(&params, &placed, &filed.slid(towards_bar * (to_bar_mm - to_bar)), true);
+    assert!(!meets(to_bar_mm) && !meets(reach_mm + 0.5));
+    assert!(meets(reach_mm - 0.5) && meets(1.0));
 }
 
 proptest! {
