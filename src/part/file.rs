@@ -21,7 +21,7 @@ const THICKNESS_MIN_MM: f64 = 0.05;
 const SQUARE_TOLERANCE: f64 = 0.018;
 
 /// Wire along which a grasp may slide strays from a straight line by less than this share of its thickness.
-const STRAIGHT_SHARE: f64 = 0.1;
+const STRAIGHT_SHARE: f64 = 0.02;
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -142,6 +142,7 @@ impl Check<'_> {
         self.graph(&mut part)?;
         self.lengths(&part, file.bend_radius_mm)?;
         self.grasp_on_wire(&part)?;
+        self.slides_on_wire(&part)?;
         part.symmetries = part.find_symmetries();
         Ok(part)
     }
@@ -341,12 +342,31 @@ impl Check<'_> {
             let problem = "does not close across the wire; approach × closing must be the wire's direction at the grasp";
             return Err(self.value("grasp: closing", format!("[{}, {}, {}]", c.x, c.y, c.z), problem));
         }
-        let slide_mm = part.grasp.slide_mm;
-        let is_wire = |along_mm: f64| {
-            let there = grasp + axis.into_inner() * along_mm;
-            let off_mm = near.iter().map(|p| (p.position_mm - there).norm()).fold(f64::MAX, f64::min);
-            off_mm < least + 0.5 * step_mm + STRAIGHT_SHARE * part.thickness_mm
+        Ok(())
+    }
+
+    /// The wire is straight as far as the grasp may slide.
+    fn slides_on_wire(&self, part: &Part) -> Result<(), PartError> {
+        let PartGrasp { position_mm, slide_mm, .. } = part.grasp;
+        let length: f64 = (0..part.edges.len()).map(|e| part.edge_length_mm(e)).sum();
+        let step_mm = (0.25 * part.thickness_mm).max(length / 2000.0);
+        let pieces: Vec<[Point3<f64>; 2]> = (0..part.edges.len())
+            .flat_map(|edge| {
+                let points = part.centreline(edge, step_mm);
+                points.windows(2).map(|p| [p[0].position_mm, p[1].position_mm]).collect::<Vec<_>>()
+            })
+            .collect();
+        let off_mm = |along_mm: f64| {
+            let there = position_mm + part.grasp_axis().into_inner() * along_mm;
+            let off_mm = pieces.iter().map(|[from, to]| {
+                let piece = to - from;
+                let share = ((there - from).dot(&piece) / piece.norm_squared()).clamp(0.0, 1.0);
+                (from + piece * share - there).norm()
+            });
+            off_mm.fold(f64::MAX, f64::min)
         };
+        let allowed_mm = off_mm(0.0) + STRAIGHT_SHARE * part.thickness_mm;
+        let is_wire = |along_mm: f64| off_mm(along_mm) < allowed_mm;
         let steps = (slide_mm / step_mm).ceil() as usize;
         let slides = (1..=steps).map(|k| slide_mm * k as f64 / steps as f64);
         let possible_mm = slides.take_while(|mm| is_wire(*mm) && is_wire(-mm)).last().unwrap_or(0.0);

@@ -60,6 +60,7 @@ pub(super) struct Votes {
     /// How thick wire of a part may look at its depth, and at which depths.
     seen_mm: RangeInclusive<f64>,
     depth_mm: RangeInclusive<f64>,
+    /// Of both pictures; after a look at them exchanged, of the right one first.
     ends: [Vec<End>; 2],
     /// Those of a left end behind each other.
     alike: Vec<Alike>,

@@ -1,8 +1,7 @@
 //! Parts that are less of the picture than the samples of the grid can tell: the last one in a bin, a short pin.
 //!
-//! Looked for where the samples show none, in every second row. They stand out from the darkest that their surroundings
-//! may be (for dark parts the lightest), which is not darker than most of the background: so a bin's rim beside its dark wall,
-//! as narrow as they are, does not.
+//! Looked for where the samples show none, in every second row. They must stand out from most of the background, not only from
+//! what is darker (for dark parts lighter) around them: a bin's rim beside its dark wall is as narrow as they are.
 
 use super::{BRIGHTEST_MAX, CONTRAST_MIN, CONTRAST_STEPS, Contrasts, Grid, OFFSET, factor, level_at};
 
@@ -55,8 +54,7 @@ pub(super) fn find<const DARK: bool>(
     // The contrast that so many have or more.
     let reached_by = |many: usize| {
         let mut above = 0;
-        let contrasts = (0..counts.len()).rev();
-        let found = contrasts.into_iter().find(|&contrast| {
+        let found = (0..counts.len()).rev().find(|&contrast| {
             above += counts[contrast];
             above >= many
         });
