@@ -28,6 +28,7 @@
 
 mod explanations;
 mod found;
+mod interrupted;
 mod lamp;
 mod outcome;
 mod params;
@@ -208,7 +209,7 @@ impl Recognizer {
         (out.spent.looks, out.spent.exchanges) = (looking.rang_after(), exchanging.rang_after());
         out.out_of_time |= !in_time;
         let recognised = Timestamp::now();
-        self.grasp(in_time, out);
+        self.grasp(pair, in_time, out);
         out.spent.late = budget.is_late();
         if out.spent.late {
             out.out_of_time = true;

@@ -5,6 +5,7 @@ use nalgebra::Vector3;
 
 use super::explanations::Explanation;
 use super::found::found;
+use super::interrupted::is_interrupted;
 use super::lamp::lamp_radii;
 use super::result::{FoundPart, NoPick, PARTS_MAX, Recognition};
 use super::unknown::Taken;
@@ -43,9 +44,10 @@ impl Recognizer {
     }
 
     /// Finds what is blocked and ranks; was there no time for all, what does not stand alone is blocked.
-    pub(super) fn grasp(&mut self, in_time: bool, out: &mut Recognition) {
-        let Self { parts, params, scales, pictures, explanations, unknown, .. } = self;
+    pub(super) fn grasp(&mut self, pair: &FramePair, in_time: bool, out: &mut Recognition) {
+        let Self { parts, params, scales, pictures, explanations, unknown, outline_256, .. } = self;
         let rig = rig_of(scales, pictures);
+        let views = views(pictures, rig, pair, params, *outline_256);
         let placed: ArrayVec<Placed, PARTS_MAX> =
             out.parts.iter().map(|f| parts[f.part].placed(&f.left_from_part, f.sigma_mm)).collect();
         let mut blocked = [None; PARTS_MAX];
@@ -63,6 +65,9 @@ impl Recognizer {
             let uncertain = (!is_certain).then_some(Blocked::Uncertain);
             found.blocked = blocked.or(uncertain).or(turned).or_else(|| {
                 let prepared = &parts[found.part];
+                if views.as_ref().is_some_and(|v| is_interrupted(&prepared.pose_model, explanation, v)) {
+                    return Some(Blocked::Unknown);
+                }
                 let taken = Taken { params: &params.grasp, rig, prepared, explanation, found };
                 match in_time {
                     true => unknown

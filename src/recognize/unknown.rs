@@ -324,6 +324,12 @@ mod tests {
         assert_eq!(blocked_under(|_, y| (212..217).contains(&y).then_some(40)), unknown, "cord");
         let coin = |x: usize, y: usize| (x.abs_diff(320).pow(2) + y.abs_diff(215).pow(2) < 64).then_some(190);
         assert_eq!(blocked_under(coin), unknown, "coin");
+        // A thread a pixel wide, wherever the stations lie; one that lies over half of the wire's width is a scratch.
+        for row in 208..220 {
+            assert_eq!(blocked_under(|_, y| (y == row).then_some(40)), unknown, "thread in row {row}");
+            let scratch = |x: usize, y: usize| (y == row && x < 320).then_some(40);
+            assert_eq!(blocked_under(scratch), None, "scratch in row {row}");
+        }
         let wire = |x: usize, y: usize| (x.abs_diff(320) < 30 && (214..216).contains(&y)).then_some(200);
         assert_eq!(blocked_under(wire), unknown, "wire");
     }

@@ -1,0 +1,58 @@
+//! Wire that is interrupted: two parts end to end look like one of their length together, and something narrow and dark may
+//! lie across. Narrower than the pictures resolve, neither hides a station or parts the mask; both make a notch in the
+//! light along the wire, at the same place in both pictures.
+
+use super::explanations::Explanation;
+use crate::pose::model::{PoseModel, Station};
+use crate::pose::refine::View;
+use crate::pose::verify::{PieceSight, Sight};
+
+/// A notch is as deep as this share of what the part's light stands out in the mean: some two thirds of the way to the
+/// background. Grain makes a quarter of that; stains may make nearly as much.
+const NOTCH_SHARE: f64 = 1.0;
+/// Where across the wire there is a notch, in half widths from its middle: a scratch does not go through.
+const ACROSS: [f64; 3] = [-0.35, 0.0, 0.35];
+/// How far a notch may lie beyond the stations that it lies between, in pixels.
+const BEYOND_PX: f64 = 1.0;
+/// Cosine of the angle up to which wire is straight over four stations, and the least share of its length that a picture shows.
+const STRAIGHT_COS: f64 = 0.9995;
+const LENGTH_SHARE_MIN: f64 = 0.7;
+
+/// Whether the wire of this explanation is interrupted where it is straight and both pictures show it clearly.
+pub(super) fn is_interrupted(model: &PoseModel, explanation: &Explanation, views: &[View; 2]) -> bool {
+    let pieces = &explanation.verdict.pieces;
+    let Some(above) = explanation.light.above else { return false };
+    let stations = model.stations.windows(4).zip(pieces.windows(4));
+    stations.filter(|(stations, _)| is_straight(stations)).any(|(stations, pieces)| {
+        let length_radii = (stations[2].position_mm - stations[1].position_mm).norm() / model.radius_mm;
+        [0, 1].into_iter().all(|side: usize| {
+            let between = [&pieces[1][side], &pieces[2][side]];
+            let length_px = LENGTH_SHARE_MIN * length_radii * between[0].half_width_px;
+            notch(between, length_px, &views[side]).is_some_and(|notch| notch > NOTCH_SHARE * above)
+        })
+    })
+}
+
+/// Whether stations lie in a row on straight wire.
+fn is_straight(stations: &[Station]) -> bool {
+    let [first, .., last] = stations else { return false };
+    stations.iter().all(|s| s.stretch == first.stretch && !s.at_joint)
+        && first.tangent.dot(&last.tangent) > STRAIGHT_COS
+}
+
+/// By how many grey levels the light falls between two pieces of wire, or just beside them, all across the wire; `None` where
+/// they are not seen clearly and at least so many pixels apart.
+fn notch([a, b]: [&PieceSight; 2], least_px: f64, view: &View) -> Option<f64> {
+    let middle = |piece: &PieceSight| {
+        let (beside_px, _) = piece.seen_px.filter(|_| piece.sight == Sight::Clear)?;
+        Some(piece.expected_px + piece.across * beside_px)
+    };
+    let (from, to) = (middle(a)?, middle(b)?);
+    let apart_px = (to - from).norm();
+    let along = (to - from).try_normalize(least_px)?;
+    let place = from + (to - from) / 2.0;
+    let dip_at = |across: f64| {
+        view.profiler.dip(place + a.across * (across * a.half_width_px), along, apart_px / 2.0 + BEYOND_PX)
+    };
+    ACROSS.into_iter().map(dip_at).try_fold(f64::INFINITY, |least, dip| Some(least.min(dip?)))
+}
