@@ -65,7 +65,7 @@ def findings(heading, rows):
             if not float(value) <= most:
                 yield f"{column} is {total[column]}, asked for: {greatest[0]} · {greatest[1]} or less"
                 break
-    for column in ("first pick", "nothing over it"):
+    for column in ("first pick", "nothing over it", "offered"):
         right, of = total[column].split("/")
         if right != of:
             yield f"{column}: {total[column]}"

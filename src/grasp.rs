@@ -68,7 +68,7 @@ pub enum Blocked {
     /// The parts together tell that the right camera has turned, and by so much that not all of it is allowed for.
     #[error("the right camera does not stand as it was calibrated")]
     Turned,
-    /// The budget was spent before all wire was looked at: what may lie on the part is not known.
+    /// Time was over before all wire was looked at and all parts weighed: what may lie on the part is not known.
     #[error("search cut short before all wire was looked at")]
     OutOfTime,
 }
@@ -206,6 +206,18 @@ pub fn grasp_of(params: &Params, placed: &Placed) -> Grasp {
     }
 }
 
+/// The grasp with the approach of the part file, which need not be the steepest.
+fn as_filed(params: &Params, placed: &Placed, grasp: &Grasp) -> Grasp {
+    let out_from_part = params.base_from_left.unwrap_or_default() * placed.left_from_part;
+    let file = &placed.part.grasp;
+    let [closing, approach] = [file.closing, file.approach].map(|way| out_from_part * way.into_inner());
+    let axes = Matrix3::from_columns(&[closing, approach.cross(&closing), approach]);
+    Grasp {
+        orientation: UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes)),
+        ..*grasp
+    }
+}
+
 /// Why parts cannot be taken, each with its grasp; `None` for those that can. A grasp for which there is no room, or that
 /// is outside the workspace, slides along the wire as far as the part file allows to the nearest place where neither is so.
 ///
@@ -228,10 +240,13 @@ pub fn blocked(params: &Params, all: &[Placed], grasps: &mut [Grasp], why: &mut 
     for (index, (grasp, why)) in grasps.iter_mut().zip(why).enumerate() {
         let by_crossing = *why;
         let reason = |grasp: &Grasp| {
-            // Where the part file has it, its author has seen to it that the fingers do not meet the part's other wires.
-            let is_in_the_way = |(k, placed): (usize, &Placed)| match k == index {
-                true => grasp.slid_mm != 0.0 && meets_fingers(params, placed, grasp, true),
-                false => meets_fingers(params, placed, grasp, false),
+            // What of the part's own wire they meet where and as the part file has them come, its author wants.
+            let is_wanted = |placed: &Placed| {
+                grasp.slid_mm == 0.0 && meets_fingers(params, placed, &as_filed(params, placed, grasp), true)
+            };
+            let is_in_the_way = |(k, placed): (usize, &Placed)| {
+                let its_own = k == index;
+                meets_fingers(params, placed, grasp, its_own) && !(its_own && is_wanted(placed))
             };
             let has_no_room = || all.iter().enumerate().any(is_in_the_way);
             out_of_reach(params, &all[index], grasp)

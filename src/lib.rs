@@ -36,7 +36,7 @@
 //! # The rooms
 //!
 //! Hot: the real-time path; after `new` it allocates nothing, takes no lock, writes no log. Pure: no clock, no device,
-//! no thread: memory, time and randomness are arguments. Edge: touches a device. Cold: everything else.
+//! no thread: memory, time and randomness are arguments; how long each stage took is asked of [`time`], and decides nothing. Edge: touches a device. Cold: everything else.
 //!
 //! | room | owns | |
 //! |---|---|---|
@@ -53,6 +53,7 @@
 //! | [`vision`] | pixels → nodes and edges | hot, pure |
 //! | [`matching`], [`pose`] | nodes → matches → poses | hot, pure |
 //! | [`grasp`] | poses → targets | hot, pure |
+//! | [`picture`] | the stages up to nodes in a row, for a picture | hot, pure |
 //! | [`recognize`] | the stages in a row, for a pair | hot, pure |
 //! | [`cell`] | every decision in `core`; the threads that carry events to it and actions from it | hot |
 //! | [`arm`] | the links of firmware_bridge as one type | edge |
@@ -60,7 +61,7 @@
 //! | [`session`] | recordings: MCAP reader, writer and copier; folders of pictures | cold |
 //! | [`accuracy`] | recognition against known truth | cold |
 //! | [`report`] | overlay and stage pictures | cold |
-//! | [`files`], [`picture`] | files written whole or not at all; pictures from files | cold |
+//! | [`files`] | files written whole or not at all | cold |
 //!
 //! # Frames and units
 //!

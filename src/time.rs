@@ -2,8 +2,9 @@
 //!
 //! Every time in the cell is a count of nanoseconds of `CLOCK_BOOTTIME`. V4L2 stamps buffers with `CLOCK_MONOTONIC`,
 //! which stands still while the machine is suspended: a picture of before would look fresh after. The cell's clock goes
-//! on, and [`Sleep`] makes its times of the drivers' stamps and notices suspends. Pure rooms get a [`Timestamp`] or a [`Budget`] as an argument and never ask a clock themselves, except
-//! that a [`Budget::Until`] asks it for them.
+//! on, and [`Sleep`] makes its times of the drivers' stamps and notices suspends. Pure rooms get a
+//! [`Timestamp`] or a [`Budget`] as an argument; nothing that they decide depends on a clock, except where a
+//! [`Budget::Until`] asks it for them. They ask how late it is to tell how long their stages took.
 
 use std::time::Duration;
 

@@ -300,7 +300,6 @@ fn a_pair_without_time_or_iterations_offers_nothing_and_says_so() {
     }
 }
 
-/// A file of this name and content in a folder of its own.
 #[test]
 fn overlay_and_stages_take_the_place_of_no_picture_that_is_read() {
     let folder = tempfile::tempdir().unwrap();
@@ -322,6 +321,7 @@ fn overlay_and_stages_take_the_place_of_no_picture_that_is_read() {
     assert!(to(&at("o.png")).status.success());
 }
 
+/// A file of this name and content in a folder.
 fn file(folder: &tempfile::TempDir, name: &str, bytes: &[u8]) -> String {
     let path = folder.path().join(name);
     fs::write(&path, bytes).unwrap();

@@ -27,6 +27,10 @@ pub struct Score {
     pub correct: usize,
     /// Visible parts that were found.
     pub visible_found: usize,
+    /// Parts offered to the arm.
+    pub offered: usize,
+    /// Of them right and with nothing over them.
+    pub offered_free: usize,
     /// Scenes with parts.
     pub picks: usize,
     /// Scenes whose first pick is right.
@@ -66,8 +70,10 @@ impl Score {
         self.total_ms.push(found.stages.total_ns as f64 / 1e6);
         let owners = assign(truth, found, parts);
         for (f, owner) in found.parts.iter().zip(&owners) {
+            self.offered += usize::from(f.blocked.is_none());
             let Some((o, _)) = owner else { continue };
             let object = &truth.objects[*o];
+            self.offered_free += usize::from(f.blocked.is_none() && !object.occluded);
             self.correct += 1;
             self.visible_found += object.is_visible() as usize;
             self.add_errors(truth, object, f, &parts[f.part]);
@@ -112,6 +118,8 @@ impl Score {
         self.detections += o.detections;
         self.correct += o.correct;
         self.visible_found += o.visible_found;
+        self.offered += o.offered;
+        self.offered_free += o.offered_free;
         self.picks += o.picks;
         self.first_right += o.first_right;
         self.first_free += o.first_free;
@@ -128,7 +136,7 @@ impl Score {
     }
 
     /// The heading of [`Score::row`].
-    pub const HEADING: &'static str = "| set | scenes | parts | precision | recall 80 % | recall | node mm 50 · 95 % | grasp mm 50 · 95 % | axis ° 50 · 95 % | height mm | within 1σ · 2σ | first pick | nothing over it | ms |\n|---|---|---|---|---|---|---|---|---|---|---|---|---|---|";
+    pub const HEADING: &'static str = "| set | scenes | parts | precision | recall 80 % | recall | node mm 50 · 95 % | grasp mm 50 · 95 % | axis ° 50 · 95 % | height mm | within 1σ · 2σ | first pick | nothing over it | offered | ms |\n|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|";
 
     /// A row of a table in Markdown.
     pub fn row(&self, name: &str) -> String {
@@ -151,7 +159,7 @@ impl Score {
             all => format!("{:+.2}", all.iter().sum::<f64>() / all.len() as f64),
         };
         format!(
-            "| {name} | {} | {} | {} | {} | {} | {} | {} | {} | {height} | {} · {} | {}/{} | {}/{} | {:.2} |",
+            "| {name} | {} | {} | {} | {} | {} | {} | {} | {} | {height} | {} · {} | {}/{} | {}/{} | {}/{} | {:.2} |",
             self.scenes,
             self.objects,
             share(self.correct, self.detections),
@@ -166,6 +174,8 @@ impl Score {
             self.picks,
             self.first_free,
             self.picks,
+            self.offered_free,
+            self.offered,
             percentile(&self.total_ms, 0.5),
         )
     }

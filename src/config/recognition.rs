@@ -26,7 +26,7 @@ enum WrittenThin {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SearchMethod {
-    /// The exhaustive one where its tree fits the budget, Harmony Search beyond.
+    /// The exhaustive one where its tree is small enough, Harmony Search beyond.
     #[default]
     Auto,
     /// Harmony Search.

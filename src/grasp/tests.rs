@@ -170,6 +170,32 @@ fn fingers_that_slide_along_a_wire_keep_away_from_the_others_of_the_part() {
     assert!(meets(reach_mm - 0.5) && meets(1.0));
 }
 
+/// A U of wire 2.5 mm thick, its legs 10 mm apart, gripped at one of them; leaning about that by this angle.
+fn of_leaning_u(lean_deg: f64) -> Option<Blocked> {
+    let text = "name='u'\nthickness_mm=2.5\nbend_radius_mm=3\n\
+                node=[{name='a',position_mm=[50,0,0]},{name='b',position_mm=[50,10,0]}]\n\
+                edge=[{from='a',to='b',via=[[0,0,0],[0,10,0]]}]\n\
+                [grasp]\nposition_mm=[30,0,0]\napproach=[0,0,-1]\nclosing=[0,1,0]\nwidth_mm=8\n";
+    let part = Part::parse(text, "u.toml").unwrap();
+    let model = PoseModel::new(&part);
+    // The approach looks away from the camera.
+    let over = Rotation3::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI - lean_deg.to_radians());
+    let pose = Isometry3::from_parts(Vector3::new(0.0, 0.0, 500.0).into(), over.into());
+    let placed =
+        [Placed { part: &part, model: &model, left_from_part: &pose, sigma_mm: Vector3::repeat(0.1) }];
+    let params = Params::default();
+    let mut why = [None];
+    blocked(&params, &placed, &mut placed.map(|p| grasp_of(&params, &p)), &mut why);
+    why[0]
+}
+
+#[test]
+fn fingers_that_come_otherwise_than_filed_keep_away_from_the_other_wires_of_the_part() {
+    assert_eq!([0.0, 10.0, -10.0].map(of_leaning_u), [None; 3]);
+    // The other leg is far below, or stands up beside a finger.
+    assert_eq!([40.0, -40.0].map(of_leaning_u), [None, Some(Blocked::NoRoom)]);
+}
+
 proptest! {
     #[test]
     fn no_places_of_two_pieces_are_nearer_than_those_found(

@@ -48,9 +48,10 @@ impl Tree<'_, '_> {
                 while bits != 0 {
                     let n = w * CHUNK + bits.trailing_zeros() as usize;
                     bits &= bits - 1;
-                    // Rows of many words take long to fill.
-                    if self.words > QUICK_WORDS && self.limits.budget.is_over() {
-                        return false;
+                    // Rows of many words take long to fill: each is a step.
+                    if self.words > QUICK_WORDS && !self.limits.allow_step(&mut self.search.steps) {
+                        self.search.complete = false;
+                        return true;
                     }
                     if self.goes_with_all(depth, a, n, open) && self.always_pays(depth, a, n, open, cost) {
                         return true;

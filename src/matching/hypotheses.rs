@@ -341,7 +341,6 @@ mod tests {
                     direction_px: (far - end).normalize(),
                     far_ray: camera.undistort(far),
                     near_ray: camera.undistort(near),
-                    length_px: (far - end).norm(),
                 });
                 image
             });

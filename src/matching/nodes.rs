@@ -64,8 +64,6 @@ pub struct Leg {
     pub far_ray: Vector2<f64>,
     /// A point on the leg near the node, in normalised image coordinates.
     pub near_ray: Vector2<f64>,
-    /// Length of the straight piece in pixels.
-    pub length_px: f64,
 }
 
 /// A node of one picture.
@@ -339,7 +337,6 @@ fn leg_of(
         direction_px: if norm > 1e-9 { direction / norm } else { Vector2::zeros() },
         far_ray: rays.undistort(far_px),
         near_ray: rays.undistort(near_px),
-        length_px: span as f64,
     }
 }
 

@@ -6,7 +6,7 @@
 use nalgebra::{Point3, Vector2, Vector3};
 
 use super::nodes::{Leg, NodeRole};
-use crate::part::{Part, Symmetry};
+use crate::part::{Part, PartEdge, Symmetry};
 use crate::rig::Rig;
 
 /// Most nodes (end points, junctions and bends) of a part's model.
@@ -105,6 +105,20 @@ pub struct MatchModel {
     pub turned: Option<(usize, u32)>,
 }
 
+/// At a `via` that turns by less, in radians, the wire goes straight on.
+const BEND_RAD_MIN: f64 = 0.09;
+
+/// Where an edge bends.
+fn bends<'a>(edge: &'a PartEdge, part: &Part) -> impl Iterator<Item = &'a Point3<f64>> {
+    let [from, to] = [edge.from, edge.to].map(|n| part.nodes[n].position_mm);
+    (0..edge.via.len()).filter_map(move |k| {
+        let at = &edge.via[k];
+        let before = k.checked_sub(1).map_or(from, |k| edge.via[k]);
+        let after = edge.via.get(k + 1).copied().unwrap_or(to);
+        ((at - before).angle(&(after - at)) >= BEND_RAD_MIN).then_some(at)
+    })
+}
+
 impl MatchModel {
     /// Takes the anchors and spans from a part: its nodes first, then the bends of its edges.
     ///
@@ -121,7 +135,7 @@ impl MatchModel {
         let mut spans = Vec::new();
         for edge in &part.edges {
             let mut previous = edge.from;
-            for via in &edge.via {
+            for via in bends(edge, part) {
                 anchors.push(Anchor::new(NodeRole::Bend, *via, None));
                 spans.push((previous, anchors.len() - 1));
                 previous = anchors.len() - 1;

@@ -17,6 +17,9 @@ use super::{
 const COORDINATE_MAX_MM: f64 = 10_000.0;
 /// Thinner wire is a slip of units.
 const THICKNESS_MIN_MM: f64 = 0.05;
+/// Of more wire not all would be looked at: it has a station a thickness and up to one more an edge, and there is room for
+/// 1024 of a part.
+const LENGTH_THICKNESSES_MAX: f64 = 900.0;
 /// Approach and closing may be off the right angle by 1 degree (rounded digits); it is taken out.
 const SQUARE_TOLERANCE: f64 = 0.018;
 
@@ -142,6 +145,11 @@ impl Check<'_> {
         self.graph(&mut part)?;
         self.lengths(&part, file.bend_radius_mm)?;
         self.grasp_on_wire(&part)?;
+        if let Some(axis) = part.straight_axis() {
+            // How it is turned about its axis nobody sees.
+            let from = part.nodes[0].position_mm;
+            part.grasp.position_mm = from + *axis * axis.dot(&(part.grasp.position_mm - from));
+        }
         self.slides_on_wire(&part)?;
         part.symmetries = part.find_symmetries();
         Ok(part)
@@ -310,6 +318,14 @@ impl Check<'_> {
                 return Err(self.value(&format!("{name}: length in mm"), format!("{length:.3}"), &problem));
             }
         }
+        let wire_mm: f64 = (0..part.edges.len()).map(|edge| part.edge_length_mm(edge)).sum();
+        let longest_mm = LENGTH_THICKNESSES_MAX * part.thickness_mm;
+        if wire_mm > longest_mm {
+            return Err(self.shape(format!(
+                "its wire is {wire_mm:.0} mm long; of wire {} mm thick at most {longest_mm:.0} mm are looked at",
+                part.thickness_mm
+            )));
+        }
         for (i, a) in part.nodes.iter().enumerate() {
             if let Some(b) = part.nodes[..i].iter().find(|b| (b.position_mm - a.position_mm).norm() < 1e-3) {
                 return Err(self
@@ -327,10 +343,12 @@ impl Check<'_> {
         let near: Vec<_> = (0..part.edges.len()).flat_map(|e| part.centreline(e, step_mm)).collect();
         let distance = |p: &Point3<f64>| (p - grasp).norm();
         let least = near.iter().map(|p| distance(&p.position_mm)).fold(f64::MAX, f64::min);
-        let allowed = 2.0 * part.thickness_mm.max(part.bend_radius_mm);
+        // The wire passes inside of its corners.
+        let is_corner =
+            part.edges.iter().flat_map(|e| &e.via).any(|via| distance(via) < part.thickness_mm / 2.0);
         let shown = format!("[{}, {}, {}]", grasp.x, grasp.y, grasp.z);
-        if least > allowed {
-            let problem = format!("is {least:.1} mm from the wire; put it on the wire's axis");
+        if least > part.thickness_mm / 2.0 + step_mm / 2.0 && !is_corner {
+            let problem = format!("is {least:.1} mm from the wire's axis; put it on that");
             return Err(self.value("grasp: position_mm", shown, &problem));
         }
         // near a junction or a bend, any of the directions there will do

@@ -130,11 +130,6 @@ impl Part {
         self.edges.iter().map(|e| usize::from(e.from == node) + usize::from(e.to == node)).sum()
     }
 
-    /// Index of the node of this name.
-    pub fn node_index(&self, name: &str) -> Option<usize> {
-        self.nodes.iter().position(|n| n.name == name)
-    }
-
     /// Nodes and `via` corners: the points that fix the part's shape.
     fn corner_points(&self) -> Vec<Point3<f64>> {
         let nodes = self.nodes.iter().map(|n| n.position_mm);

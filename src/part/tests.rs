@@ -48,6 +48,50 @@ fn grasps_slide_only_where_the_file_allows() {
 }
 
 #[test]
+fn a_grasp_lies_on_the_wire() {
+    let with = |b: &str, via: &str, position: &str| {
+        Part::parse(
+            &format!(
+                "name='v'\nthickness_mm=2\nnode=[{{name='a',position_mm=[40,0,0]}},{{name='b',position_mm={b}}}]\n\
+                 edge=[{{from='a',to='b',via={via}}}]\n\
+                 [grasp]\nposition_mm={position}\napproach=[0,0,-1]\nclosing=[0,1,0]\nwidth_mm=8\n"
+            ),
+            "v.toml",
+        )
+    };
+    let (hook, rod) = (("[0,30,0]", "[[0,0,0]]"), ("[-40,0,0]", "[]"));
+    for (b, via) in [hook, rod] {
+        assert!(with(b, via, "[20,0.5,0.5]").is_ok());
+        for off in ["[20,3,0]", "[20,0,-2]", "[20,-7,0]"] {
+            let refusal = with(b, via, off).unwrap_err().to_string();
+            assert!(refusal.contains("mm from the wire's axis; put it on that"), "{refusal}");
+        }
+    }
+    // The corner itself is beside the wire, which is bent there.
+    assert!(with(hook.0, hook.1, "[0,0,0]").is_ok());
+    // On which side of a rod it lay nobody could see.
+    assert_eq!(with(rod.0, rod.1, "[20,0.5,0.5]").unwrap().grasp.position_mm, Point3::new(20.0, 0.0, 0.0));
+}
+
+#[test]
+fn wire_too_long_for_its_thickness_is_refused() {
+    let rod = |thickness_mm: f64| {
+        Part::parse(
+            &format!(
+                "name='r'\nthickness_mm={thickness_mm}\n\
+                 node=[{{name='a',position_mm=[-450,0,0]}},{{name='b',position_mm=[450,0,0]}}]\n\
+                 edge=[{{from='a',to='b'}}]\n\
+                 [grasp]\nposition_mm=[0,0,0]\napproach=[0,0,-1]\nclosing=[0,1,0]\nwidth_mm=8\n"
+            ),
+            "r.toml",
+        )
+    };
+    assert!(rod(1.0).is_ok());
+    let refusal = rod(0.99).unwrap_err().to_string();
+    assert!(refusal.contains("900 mm long; of wire 0.99 mm thick at most 891 mm"), "{refusal}");
+}
+
+#[test]
 fn a_planar_hook_with_equal_legs_turns_over_and_a_cross_has_eight_turns() {
     let hook = "name='v'\nthickness_mm=2\nnode=[{name='a',position_mm=[30,0,0]},{name='b',position_mm=[0,30,0]}]\n\
                 edge=[{from='a',to='b',via=[[0,0,0]]}]\n\

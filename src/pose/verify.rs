@@ -43,7 +43,7 @@ use crate::matching::fitness::Terms;
 /// What one picture shows of one piece of the part.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Sight {
-    /// Outside the picture.
+    /// Behind the camera.
     #[default]
     Outside,
     /// Both outlines where they should be.

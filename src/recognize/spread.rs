@@ -34,5 +34,7 @@ pub(super) fn sigmas(
     let wire = pose * prepared.part.grasp.approach.cross(&prepared.part.grasp.closing);
     let across = wire.cross_matrix();
     let axis = across * turn * across.transpose();
-    (turned.diagonal().map(|v| v.max(0.0).sqrt()), axis.trace().max(0.0).sqrt())
+    // What is not a number is not known.
+    let root = |variance: f64| if variance.is_nan() { f64::INFINITY } else { variance.max(0.0).sqrt() };
+    (turned.diagonal().map(root), root(axis.trace()))
 }

@@ -215,7 +215,7 @@ fn upside_down(rig: Rig, frames: FramePair) -> (Rig, FramePair) {
 fn cameras_may_be_rolled_against_each_other() {
     let (session, rig) = conveyor();
     let mut offered = [0; 2];
-    for pair in [0, 5, 9, 12] {
+    for pair in [0, 3, 5, 9, 12] {
         let upright = frames(&session, pair, [0, 0]);
         let expected = run(&mut recognizer(rig), &upright);
         let (rolled, upside_down) = upside_down(rig, upright);
@@ -309,14 +309,18 @@ fn parts_are_taken_beside_their_grasp_where_there_is_no_room_at_it() {
 #[test]
 fn nothing_is_offered_where_the_ends_of_wire_do_not_lie_where_they_should() {
     let (session, rig) = conveyor();
-    for rows_px in [60.0, -90.0] {
+    let mut parts = 0;
+    for rows_px in [40.0, 60.0, -90.0] {
         let mut as_calibrated = recognizer(before_turn(rig, rows_px, 0.0));
         for pair in 0..4 {
             let found = run(&mut as_calibrated, &frames(&session, pair, [0, 0]));
             assert!(found.parts.iter().all(|part| part.blocked.is_some()), "{found:?}");
-            assert!(found.turned.is_none_or(|turned| turned.doubt.is_some()), "{:?}", found.turned);
+            let doubt = found.turned.and_then(|turned| turned.doubt);
+            assert_eq!(doubt, Some(Doubt::EndsApart), "{rows_px} {pair}: {found:?}");
+            parts += found.parts.len();
         }
     }
+    assert!(parts > 0);
 }
 
 #[test]

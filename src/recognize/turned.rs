@@ -25,6 +25,8 @@ const MODEL_SIGMA_PX: [f64; 2] = [0.04, 0.08];
 /// Webcams turn by less than this from one day to the next, in pixels. One that was knocked farther has turned along the
 /// baseline as well.
 const FAR_PX: f64 = 2.0;
+/// Where no part is recognised, so many ends of wire in each picture are more than those of a few foreign things.
+const ENDS_WITHOUT_PARTS_MIN: u32 = 8;
 /// Information, per square radian, beside which all other is none.
 const PINNED: f64 = 1e18;
 /// A camera has not turned by more than about this, in radians: where nothing is seen of a turn there is none.
@@ -82,21 +84,26 @@ impl Recognizer {
         out.turned = None;
         let model_px = f64::from(1 << self.pictures[0].halvings());
         let (told, more) = turned(&self.scales[0].rig, &seen, &self.turn, model_px)?;
-        if !out.parts.is_empty() {
-            let ends_apart = self.are_ends_apart(&out.parts).then_some(Doubt::EndsApart);
+        let ends_apart = self.are_ends_apart(&out.parts).then_some(Doubt::EndsApart);
+        // Where nothing is recognised they tell nothing else.
+        if ends_apart.is_some() || !out.parts.is_empty() {
             out.turned = Some(Turned { allowed_for: self.turn, doubt: ends_apart.or(told.doubt), ..told });
         }
         more
     }
 
-    /// Whether hardly any end of wire as thick as that of these parts has its like on its line.
+    /// Whether hardly any end of wire as thick as that of these parts, or as most wire in the pictures, has its like on its line.
     fn are_ends_apart(&self, parts: &[FoundPart]) -> bool {
+        if parts.is_empty() {
+            let [left, right] = self.pictures.each_ref().map(Picture::half_width_px);
+            return self.votes.are_apart([left.min(right), left.max(right)], ENDS_WITHOUT_PARTS_MIN);
+        }
         let focal_px = rig_of(&self.scales, &self.pictures).right.focal_px();
         let depth_mm = || parts.iter().map(|found| found.left_from_part.translation.z);
         let [nearest, farthest] = [depth_mm().fold(f64::MAX, f64::min), depth_mm().fold(0.0, f64::max)];
         let [thinnest_mm, thickest_mm] = self.thickness_mm;
         self.votes
-            .are_apart([thinnest_mm / farthest, thickest_mm / nearest].map(|share| 0.5 * focal_px * share))
+            .are_apart([thinnest_mm / farthest, thickest_mm / nearest].map(|share| 0.5 * focal_px * share), 1)
     }
 }
 

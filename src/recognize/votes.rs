@@ -30,9 +30,9 @@ const ON_LINE_PX: f64 = 1.25;
 const DIRECTION_COS_MIN: f64 = 0.8;
 /// By what factor wire may look thicker or thinner than a part's would at the depth of the pair.
 const THICKNESS_FACTOR_MAX: f64 = 1.8;
-/// So many more votes than the camera has as calibrated, and so many times as many, tell a turn.
 /// Ends are apart where fewer than one in so many has one like it on its line. Of heaps nearly every second has.
 const APART_SHARE: u32 = 4;
+/// So many more votes than the camera has as calibrated, and so many times as many, tell a turn.
 const MORE_MIN: u32 = 3;
 const TIMES_MIN: f64 = 1.5;
 
@@ -122,15 +122,16 @@ impl Votes {
         Ok(Some(turn))
     }
 
-    /// Whether hardly any end of wire between these half thicknesses, in pixels, has one like it on its line: then the
-    /// cameras stand in yet another way.
-    pub(super) fn are_apart(&self, half_thickness_px: [f64; 2]) -> bool {
+    /// Whether hardly any end of wire between these half thicknesses, in pixels, has one like it on its line, of at least so
+    /// many in each picture: then the cameras stand in yet another way.
+    pub(super) fn are_apart(&self, half_thickness_px: [f64; 2], ends_min: u32) -> bool {
         let [thinnest, thickest] = half_thickness_px;
         let thickness_px = thinnest / THICKNESS_FACTOR_MAX..=thickest * THICKNESS_FACTOR_MAX;
         let of_parts = self.ends.each_ref().map(|ends| {
             ends.iter().filter(|end| thickness_px.contains(&end.half_thickness_px)).count() as u32
         });
-        self.votes.is_some_and(|votes| APART_SHARE * votes < of_parts[0].min(of_parts[1]))
+        let fewer = of_parts[0].min(of_parts[1]);
+        fewer >= ends_min && self.votes.is_some_and(|votes| APART_SHARE * votes < fewer)
     }
 
     fn votes_for_none(&self) -> u32 {

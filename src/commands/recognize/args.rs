@@ -78,7 +78,7 @@ pub struct RecognizeArgs {
     #[arg(long, value_enum, help_heading = "Pixels")]
     pub thin: Option<ThinChoice>,
 
-    /// Search; auto is exhaustive where its tree fits the budget, harmony beyond [default: auto]
+    /// Search; auto is exhaustive where its tree is small enough, harmony beyond [default: auto]
     #[arg(long, value_enum, help_heading = "Search")]
     pub search: Option<SearchChoice>,
     /// Which right nodes may go with a left one [default: epipolar]
@@ -138,7 +138,7 @@ pub enum ThinChoice {
 /// `--search`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum SearchChoice {
-    /// Exhaustive where its tree fits the budget, else harmony
+    /// Exhaustive where its tree is small enough, else harmony
     Auto,
     /// Harmony Search, the paper's algorithms 1 and 3
     Harmony,

@@ -2,9 +2,10 @@
 
 use serde_json::{Value, json};
 
-use crate::recognize::Turned;
+use crate::recognize::{Doubt, Turned};
 
-/// So many pairs with parts the mean is taken of, the newer ones weighing more; before so many nothing is said.
+/// So many pairs with parts the mean is taken of, the newer ones weighing more; before so many nothing is said. Nor is it said
+/// that ends lie apart before so many pairs in a row have it.
 const PAIRS: u32 = 20;
 /// A turn that is worth a new calibration, in pixels: about the baseline, at the rim, and along the baseline, where lengths in
 /// part files that are wrong by half a percent look the same.
@@ -18,6 +19,8 @@ pub(super) struct Calibration {
     pairs: u32,
     /// About the baseline, at the rim, along the baseline.
     means: [Mean; 3],
+    /// Pairs in a row whose ends lie apart.
+    apart: u32,
     is_off: bool,
 }
 
@@ -43,6 +46,21 @@ impl Mean {
 impl Calibration {
     /// Takes what a pair tells; what is to be said, once it is certain.
     pub(super) fn pair(&mut self, turned: &Turned) -> Option<String> {
+        self.apart = if turned.doubt == Some(Doubt::EndsApart) { self.apart.saturating_add(1) } else { 0 };
+        // What then is recognised by chance tells nothing.
+        if self.apart == 0 {
+            self.add(turned);
+        }
+        let share = if self.is_off { 0.5 } else { 1.0 };
+        let is_above = |(mean, limit_px): (&Mean, f64)| mean.is_above(share * limit_px);
+        let is_turned = self.is_told() && self.means.iter().zip(LIMIT_PX).any(is_above);
+        let is_off = is_turned || self.are_apart();
+        let news = is_off && !self.is_off;
+        self.is_off = is_off;
+        news.then(|| format!("{}; calibrate again", self.words()))
+    }
+
+    fn add(&mut self, turned: &Turned) {
         self.pairs = self.pairs.saturating_add(1);
         let told = [
             (turned.rows_px, turned.rows_sigma_px),
@@ -52,12 +70,10 @@ impl Calibration {
         for (mean, (px, sigma_px)) in self.means.iter_mut().zip(told) {
             mean.add(px, sigma_px);
         }
-        let share = if self.is_off { 0.5 } else { 1.0 };
-        let is_above = |(mean, limit_px): (&Mean, f64)| mean.is_above(share * limit_px);
-        let is_off = self.is_told() && self.means.iter().zip(LIMIT_PX).any(is_above);
-        let news = is_off && !self.is_off;
-        self.is_off = is_off;
-        news.then(|| format!("{}; calibrate again", self.words()))
+    }
+
+    fn are_apart(&self) -> bool {
+        self.apart >= PAIRS
     }
 
     fn is_told(&self) -> bool {
@@ -66,6 +82,9 @@ impl Calibration {
 
     fn words(&self) -> String {
         let [rows_px, rim_px, along_px] = self.means.map(|mean| mean.px);
+        if self.are_apart() {
+            return Turned { doubt: Some(Doubt::EndsApart), ..Turned::default() }.to_string();
+        }
         let is_above = |n: usize| self.means[n].is_above(0.5 * LIMIT_PX[n]);
         let mut words = Vec::new();
         if is_above(0) || is_above(1) {
@@ -89,13 +108,17 @@ impl Calibration {
 
     /// For programs; `null` as long as there were too few pairs.
     pub(super) fn json(&self) -> Value {
-        match self.is_told() {
-            true => {
-                let [rows_px, rim_px, along_px] = self.means.map(|mean| mean.px);
-                json!({ "rows_px": rows_px, "rim_px": rim_px, "along_px": along_px, "is_off": self.is_off })
-            }
-            false => Value::Null,
+        if !self.is_told() && !self.is_off {
+            return Value::Null;
         }
+        let [rows_px, rim_px, along_px] = self.means.map(|mean| mean.px);
+        json!({
+            "rows_px": rows_px,
+            "rim_px": rim_px,
+            "along_px": along_px,
+            "are_ends_apart": self.are_apart(),
+            "is_off": self.is_off,
+        })
     }
 }
 
@@ -144,6 +167,18 @@ mod tests {
         }
         let words = calibration.text().unwrap();
         assert!(words.contains("+0.50 px across") && words.contains("parts look shorter"), "{words}");
+    }
+
+    #[test]
+    fn ends_that_lie_apart_are_said_and_what_is_recognised_then_tells_nothing() {
+        let mut calibration = Calibration::default();
+        let apart = Turned { doubt: Some(Doubt::EndsApart), ..turned(3.0, 0.0, 0.05) };
+        assert!((1..PAIRS).all(|_| calibration.pair(&apart).is_none()) && calibration.json().is_null());
+        let words = calibration.pair(&apart).unwrap();
+        assert!(words.contains("do not stand as they were calibrated; calibrate again"), "{words}");
+        assert_eq!(calibration.json()["are_ends_apart"], true);
+        assert!((0..2 * PAIRS).all(|_| calibration.pair(&turned(0.0, 0.0, 0.05)).is_none()));
+        assert_eq!((calibration.text(), &calibration.json()["is_off"]), (None, &Value::Bool(false)));
     }
 
     #[test]

@@ -64,21 +64,14 @@ pub struct Edge {
     /// Range of [`Graph::points`], in order from `nodes[0]` to `nodes[1]`; neighbours in it touch except where a
     /// junction was dissolved.
     pub points: Range<u32>,
-    /// Length from node to node along the chain, ends put back, in pixels.
-    pub length_px: f32,
     /// Half the thickness of the part: median of sections across it, in pixels.
     pub half_thickness_px: f32,
-    /// Whether this is a closed loop without nodes.
-    pub closed: bool,
-    /// See [`Edge::is_crossing_bridge`].
-    crossing_bridge: bool,
 }
 
 impl Edge {
-    /// Whether this edge joins two junctions that come from one X-crossing: thinning splits a crossing into two
-    /// T's with a short edge between, shorter than one and a half thicknesses of the lines that meet there.
-    pub fn is_crossing_bridge(&self) -> bool {
-        self.crossing_bridge
+    /// Whether this is a closed loop without nodes.
+    pub fn is_closed(&self) -> bool {
+        self.nodes[0] == NONE
     }
 }
 
@@ -111,6 +104,24 @@ impl Graph {
     /// The pixels of an edge, in order from its first node to its second.
     pub fn edge_points(&self, edge: &Edge) -> &[[u16; 2]] {
         &self.points[edge.points.start as usize..edge.points.end as usize]
+    }
+
+    /// Length of an edge from node to node along its chain, ends put back, in pixels.
+    pub fn length_px(&self, edge: &Edge) -> f32 {
+        let terminal = |n: u32| self.nodes.get(n as usize).map(|n| n.position_px);
+        length(self.edge_points(edge), terminal(edge.nodes[0]), terminal(edge.nodes[1]), edge.is_closed())
+    }
+
+    /// Whether an edge joins two junctions that come from one X-crossing: thinning splits a crossing into two
+    /// T's with a short edge between, shorter than one and a half thicknesses of the lines that meet there.
+    pub fn is_crossing_bridge(&self, edge: &Edge) -> bool {
+        let junction = |n: u32| self.nodes.get(n as usize).filter(|n| n.kind == NodeKind::Junction);
+        let [a, b] = edge.nodes.map(junction);
+        edge.nodes[0] != edge.nodes[1]
+            && a.zip(b).is_some_and(|(a, b)| {
+                let half = a.half_thickness_px.max(b.half_thickness_px);
+                self.length_px(edge) < 1.5 * 2.0 * half
+            })
     }
 }
 
@@ -255,26 +266,7 @@ impl Graphs {
         self.pruned.write(&self.params, mask, &self.pixels, &self.traced, graph);
         section::measure(mask, graph);
         ends::put_back(self.level, mask, frame, graph);
-        finish(graph);
         Ok(())
-    }
-}
-
-/// Lengths with the ends put back, and the bridges of crossings.
-fn finish(graph: &mut Graph) {
-    let Graph { nodes, edges, points } = graph;
-    for edge in edges.iter_mut() {
-        let chain = &points[edge.points.start as usize..edge.points.end as usize];
-        let terminal = |n: u32| nodes.get(n as usize).map(|n: &Node| n.position_px);
-        edge.length_px = length(chain, terminal(edge.nodes[0]), terminal(edge.nodes[1]), edge.closed);
-    }
-    for edge in edges.iter_mut() {
-        let [a, b] = edge.nodes;
-        let junction = |n: u32| nodes.get(n as usize).is_some_and(|n| n.kind == NodeKind::Junction);
-        if a != b && junction(a) && junction(b) {
-            let half = nodes[a as usize].half_thickness_px.max(nodes[b as usize].half_thickness_px);
-            edge.crossing_bridge = edge.length_px < 1.5 * 2.0 * half;
-        }
     }
 }
 

@@ -325,14 +325,7 @@ fn node(kind: NodeKind, at: [f32; 2], degree: u32) -> Node {
 }
 
 fn edge(nodes: [u32; 2], points: Range<usize>, thickness_px: f32) -> Edge {
-    Edge {
-        nodes,
-        points: points.start as u32..points.end as u32,
-        length_px: 0.0,
-        half_thickness_px: thickness_px / 2.0,
-        closed: nodes[0] == NONE,
-        crossing_bridge: false,
-    }
+    Edge { nodes, points: points.start as u32..points.end as u32, half_thickness_px: thickness_px / 2.0 }
 }
 
 /// Appends a piece to the chain that began at `begin`; a pixel in which two pieces meet once only.
