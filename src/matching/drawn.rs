@@ -8,7 +8,7 @@ use super::candidates::Candidates;
 use super::fitness::{Judge, Weights};
 use super::gate::{Gate, GateParams};
 use super::nodes::{ImageNode, NodeRole};
-use super::problem::{Anchor, MatchModel, Span};
+use super::problem::{Anchor, MatchModel, Span, WirePiece};
 use crate::level::Level;
 use crate::rig::{CameraModel, Rig};
 use crate::vision::bits::BitImage;
@@ -162,9 +162,12 @@ fn chain(nodes: usize) -> MatchModel {
         corners: Vec::new(),
     });
     let spans = points.windows(2).enumerate().map(|(k, w)| Span::new(k, k + 1, (w[1] - w[0]).norm()));
+    let (anchors, spans): (Vec<_>, Vec<_>) = (anchors.collect(), spans.collect());
     MatchModel {
-        anchors: anchors.collect(),
-        spans: spans.collect(),
+        wire: WirePiece::of_spans(&anchors, &spans),
+        smooth: false,
+        anchors,
+        spans,
         distances_mm: points.iter().flat_map(|a| points.iter().map(move |b| (a - b).norm())).collect(),
         thickness_mm: 2.5,
         straight: nodes == 2,

@@ -302,21 +302,19 @@ impl Judge<'_> {
 
     /// Share of foreground on the part's whole wire at a pose, in both pictures; `None` where it is less than `least`.
     pub fn coverage(&self, left_from_part: &Isometry3<f64>, least: f64) -> Option<f64> {
-        let all = self.model.spans.iter().map(|span| 2 * span.looks).sum::<u32>().max(1);
+        let all = self.model.wire.iter().map(|piece| 2 * piece.looks).sum::<u32>().max(1);
         // With one more than these it is less.
         let most = ((1.0 - least) * f64::from(all) * ROUNDING).max(0.0) as u32;
         let mut missing = 0;
-        for span in &self.model.spans {
-            let [from, to] = [span.from, span.to].map(|a| left_from_part * self.model.anchors[a].position_mm);
-            let middle = nalgebra::center(&from, &to);
+        for piece in &self.model.wire {
+            let along = piece.along_mm.map(|place| left_from_part * place);
             for side in 0..2 {
-                let [a, m, b] = [from, middle, to].map(|point| self.project(side, &point));
-                missing += match (a, m, b) {
-                    (Some(a), Some(m), Some(b)) => {
+                missing += match along.map(|point| self.project(side, &point)) {
+                    [Some(a), Some(m), Some(b)] => {
                         let curve = Parabola::new(a, m, b);
-                        missing_on(self.level, self.masks[side], &curve, span.looks, most - missing)
+                        missing_on(self.level, self.masks[side], &curve, piece.looks, most - missing)
                     }
-                    _ => span.looks,
+                    _ => piece.looks,
                 };
                 if missing > most {
                     return None;

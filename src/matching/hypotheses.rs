@@ -216,26 +216,74 @@ pub fn of_single_end(
             else {
                 continue;
             };
-            let turned = |turn: usize| {
-                let angle = turn as f64 * (TAU / TURNS as f64);
-                turned_about(&node.point_mm, &leg.direction, angle) * start
-            };
-            let coverages = std::array::from_fn(|turn| {
-                let pose = Some(turned(turn)).filter(&may_lie);
-                pose.and_then(|pose| judge.coverage(&pose, params.coverage_min)).unwrap_or(0.0)
-            });
-            for_runs(&coverages, |turn| {
-                keep(single.hypothesis((part, a), judge, (turned(turn), coverages[turn]), 1), pool);
+            let turned = |turn: usize| turned_about(&node.point_mm, &leg.direction, turn) * start;
+            for_turns(judge, params.coverage_min, turned, &may_lie, |pose| {
+                keep(single.hypothesis((part, a), judge, pose, 1), pool);
             });
         }
     }
 }
 
-/// Into how many angles a part that is held by an end alone is turned about the wire there.
+/// Adds to `pool` the poses of a bent part `part` that two ends, which hold it but for a turn about the line through both, and
+/// the foreground hold, of those that `may_lie` allows.
+pub fn of_two_ends(
+    params: &SingleParams,
+    part: usize,
+    judge: &Judge,
+    [one, other]: [&SingleNode; 2],
+    may_lie: impl Fn(&Isometry3<f64>) -> bool,
+    pool: &mut Vec<Hypothesis>,
+) {
+    let apart = other.node.point_mm - one.node.point_mm;
+    let apart_mm = apart.norm();
+    let is_end = |single: &SingleNode| single.node.role == NodeRole::End;
+    if !(is_end(one) && is_end(other)) || apart_mm < ENDS_APART_THICKNESSES * judge.model.thickness_mm {
+        return;
+    }
+    let anchors = &judge.model.anchors;
+    let ends = || anchors.iter().enumerate().filter(|(_, anchor)| anchor.role == NodeRole::End);
+    // What is the same by a symmetry of the part is tried once.
+    for (a, first) in ends().filter(|(_, anchor)| !anchor.is_repeated) {
+        for (b, second) in ends().filter(|(b, _)| *b != a) {
+            if (judge.model.distance_mm(a, b) - apart_mm).abs() > judge.length_tolerance_mm {
+                continue;
+            }
+            let pairs = [(first.position_mm, one.node.point_mm), (second.position_mm, other.node.point_mm)];
+            let Some(start) = rigid_motion(&pairs) else { continue };
+            let turned = |turn: usize| turned_about(&one.node.point_mm, &apart, turn) * start;
+            for_turns(judge, params.coverage_min, turned, &may_lie, |pose| {
+                let mut hypothesis = one.hypothesis((part, a), judge, pose, 0);
+                hypothesis.nodes[b] = other.index as u16;
+                keep(hypothesis, pool);
+            });
+        }
+    }
+}
+
+/// Ends nearer to each other than so many thicknesses do not tell in which direction a part lies.
+const ENDS_APART_THICKNESSES: f64 = 4.0;
+
+/// Gives the poses, of all turns, that the foreground holds, each with its share of it.
+fn for_turns(
+    judge: &Judge,
+    coverage_min: f64,
+    turned: impl Fn(usize) -> Isometry3<f64>,
+    may_lie: impl Fn(&Isometry3<f64>) -> bool,
+    mut found: impl FnMut((Isometry3<f64>, f64)),
+) {
+    let coverages = std::array::from_fn(|turn| {
+        let pose = Some(turned(turn)).filter(&may_lie);
+        pose.and_then(|pose| judge.coverage(&pose, coverage_min)).unwrap_or(0.0)
+    });
+    for_runs(&coverages, |turn| found((turned(turn), coverages[turn])));
+}
+
+/// Into how many angles a part that is held but for a turn is turned.
 const TURNS: usize = 24;
 
-/// A turn about a line through a point.
-fn turned_about(point: &Point3<f64>, direction: &Vector3<f64>, angle_rad: f64) -> Isometry3<f64> {
+/// One of the [`TURNS`] about a line through a point.
+fn turned_about(point: &Point3<f64>, direction: &Vector3<f64>, turn: usize) -> Isometry3<f64> {
+    let angle_rad = turn as f64 * (TAU / TURNS as f64);
     let rotation = UnitQuaternion::from_axis_angle(&Unit::new_normalize(*direction), angle_rad);
     Isometry3::from_parts(Translation3::from(point - rotation * point), rotation)
 }

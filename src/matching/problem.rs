@@ -87,6 +87,59 @@ impl Span {
 /// Distance in mm between two points of the wire where foreground is looked up.
 const LOOK_UP_STEP_MM: f64 = 4.0;
 
+/// A piece of wire, straight or an arc of less than a right angle, along which foreground is looked up.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WirePiece {
+    /// Where it begins, its middle, and where it ends, part's frame.
+    pub along_mm: [Point3<f64>; 3],
+    /// How many points of it are looked up in each picture.
+    pub looks: u32,
+}
+
+impl WirePiece {
+    /// The straight pieces between anchors.
+    pub(super) fn of_spans(anchors: &[Anchor], spans: &[Span]) -> Vec<Self> {
+        let piece = |span: &Span| {
+            let [from, to] = [span.from, span.to].map(|a| anchors[a].position_mm);
+            Self { along_mm: [from, nalgebra::center(&from, &to), to], looks: span.looks }
+        };
+        spans.iter().map(piece).collect()
+    }
+
+    /// The pieces of all edges, bends as they are.
+    fn of_bends(part: &Part) -> Vec<Self> {
+        let longest_mm = (part.bend_radius_mm * PIECE_RAD).max(part.thickness_mm);
+        let pieces = |edge: usize| {
+            let length_mm = part.edge_length_mm(edge);
+            let count = (length_mm / longest_mm).ceil();
+            // Two steps a piece; a little more, lest rounding make it one step more.
+            let line = part.centreline(edge, length_mm / (2.0 * count) * (1.0 + 1e-9));
+            let looks = (length_mm / count / LOOK_UP_STEP_MM).ceil() as u32;
+            let piece = |k: usize| Self { along_mm: [0, 1, 2].map(|on| line[k + on].position_mm), looks };
+            (0..line.len() - 2).step_by(2).map(piece).collect::<Vec<_>>()
+        };
+        (0..part.edges.len()).flat_map(pieces).collect()
+    }
+}
+
+/// Up to which angle a piece of wire is bent.
+const PIECE_RAD: f64 = 0.5;
+/// Bends of which the wire is farther from their corner, in thicknesses, or that turn by less, in radians, are not seen as
+/// corners.
+const CORNER_THICKNESSES_MAX: f64 = 0.75;
+const CORNER_RAD_MIN: f64 = 0.5;
+
+/// Whether a part has bends that are not seen as corners.
+fn is_smooth(part: &Part) -> bool {
+    (0..part.edges.len()).any(|e| {
+        let line = part.centreline(e, part.thickness_mm / 4.0);
+        turns(&part.edges[e], part).any(|(via, turn_rad)| {
+            let off_mm = line.iter().map(|p| (p.position_mm - via).norm()).fold(f64::MAX, f64::min);
+            off_mm > CORNER_THICKNESSES_MAX * part.thickness_mm || turn_rad < CORNER_RAD_MIN
+        })
+    })
+}
+
 /// A part as the search sees it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MatchModel {
@@ -94,6 +147,10 @@ pub struct MatchModel {
     pub anchors: Vec<Anchor>,
     /// Its straight pieces.
     pub spans: Vec<Span>,
+    /// All its wire.
+    pub wire: Vec<WirePiece>,
+    /// Whether some of it bends where no corner is seen: its nodes do not tell how it lies then.
+    pub smooth: bool,
     /// Distances between all anchors in mm, row by row.
     pub distances_mm: Vec<f64>,
     /// Thickness of the wire.
@@ -108,15 +165,16 @@ pub struct MatchModel {
 /// At a `via` that turns by less, in radians, the wire goes straight on.
 const BEND_RAD_MIN: f64 = 0.09;
 
-/// Where an edge bends.
-fn bends<'a>(edge: &'a PartEdge, part: &Part) -> impl Iterator<Item = &'a Point3<f64>> {
+/// Where an edge bends, and by how much.
+fn turns<'a>(edge: &'a PartEdge, part: &Part) -> impl Iterator<Item = (&'a Point3<f64>, f64)> {
     let [from, to] = [edge.from, edge.to].map(|n| part.nodes[n].position_mm);
-    (0..edge.via.len()).filter_map(move |k| {
+    let turn = move |k: usize| {
         let at = &edge.via[k];
         let before = k.checked_sub(1).map_or(from, |k| edge.via[k]);
         let after = edge.via.get(k + 1).copied().unwrap_or(to);
-        ((at - before).angle(&(after - at)) >= BEND_RAD_MIN).then_some(at)
-    })
+        (at, (at - before).angle(&(after - at)))
+    };
+    (0..edge.via.len()).map(turn).filter(|(_, turn_rad)| *turn_rad >= BEND_RAD_MIN)
 }
 
 impl MatchModel {
@@ -135,7 +193,7 @@ impl MatchModel {
         let mut spans = Vec::new();
         for edge in &part.edges {
             let mut previous = edge.from;
-            for via in bends(edge, part) {
+            for (via, _) in turns(edge, part) {
                 anchors.push(Anchor::new(NodeRole::Bend, *via, None));
                 spans.push((previous, anchors.len() - 1));
                 previous = anchors.len() - 1;
@@ -170,9 +228,13 @@ impl MatchModel {
             .iter()
             .flat_map(|a| anchors.iter().map(move |b| (a.position_mm - b.position_mm).norm()))
             .collect();
+        let smooth = is_smooth(part);
+        let wire = if smooth { WirePiece::of_bends(part) } else { WirePiece::of_spans(&anchors, &spans) };
         Self {
             anchors,
             spans,
+            wire,
+            smooth,
             distances_mm,
             thickness_mm: part.thickness_mm,
             straight: part.is_straight(),

@@ -334,13 +334,22 @@ impl Recognizer {
         for (index, prepared) in parts.iter().enumerate().filter(|(_, p)| !p.match_model.straight) {
             let judge = prepared.judge(rig, pictures, params);
             let may_lie = |pose: &Isometry3<f64>| !prepared.is_too_steep(pose, &down, params.slope_rad_max);
-            for (n, node) in search.near_nodes().filter(|(_, node)| !explanations.has_end(node, prepared)) {
+            let free_ends = || search.near_nodes().filter(|(_, node)| !explanations.has_end(node, prepared));
+            for (n, node) in free_ends() {
                 if looking.is_over() {
                     break;
                 }
                 let images = [&left[node.left as usize], &right[node.right as usize]];
                 let single = SingleNode { index: n, node, images };
                 hypotheses::of_single_end(&params.single, index, &judge, &single, may_lie, pool);
+                if !prepared.match_model.smooth {
+                    continue;
+                }
+                for (m, other) in free_ends().filter(|(m, _)| *m < n) {
+                    let images = [&left[other.left as usize], &right[other.right as usize]];
+                    let other = SingleNode { index: m, node: other, images };
+                    hypotheses::of_two_ends(&params.single, index, &judge, [&single, &other], may_lie, pool);
+                }
             }
         }
         pool.sort_unstable_by(|a, b| a.fitness.total_cmp(&b.fitness));
