@@ -124,19 +124,29 @@ impl WirePiece {
 
 /// Up to which angle a piece of wire is bent.
 const PIECE_RAD: f64 = 0.5;
-/// Bends of which the wire is farther from their corner, in thicknesses, or that turn by less, in radians, are not seen as
-/// corners.
-const CORNER_THICKNESSES_MAX: f64 = 0.75;
+/// A bend is seen as a corner where it turns by at least this many radians, the wire is no farther from its corner, in
+/// thicknesses, and goes on straight for at least so many thicknesses on both sides.
 const CORNER_RAD_MIN: f64 = 0.5;
+const CORNER_THICKNESSES_MAX: f64 = 0.75;
+const STRAIGHT_THICKNESSES_MIN: f64 = 1.0;
 
 /// Whether a part has bends that are not seen as corners.
 fn is_smooth(part: &Part) -> bool {
-    (0..part.edges.len()).any(|e| {
-        let line = part.centreline(e, part.thickness_mm / 4.0);
-        turns(&part.edges[e], part).any(|(via, turn_rad)| {
-            let off_mm = line.iter().map(|p| (p.position_mm - via).norm()).fold(f64::MAX, f64::min);
-            off_mm > CORNER_THICKNESSES_MAX * part.thickness_mm || turn_rad < CORNER_RAD_MIN
-        })
+    part.edges.iter().any(|edge| {
+        let bends: Vec<(&Point3<f64>, f64)> = turns(edge, part).collect();
+        let cut_mm = |turn_rad: f64| part.bend_radius_mm * (turn_rad / 2.0).tan();
+        let off_mm = |turn_rad: f64| part.bend_radius_mm * (1.0 / (turn_rad / 2.0).cos() - 1.0);
+        let [from, to] = [edge.from, edge.to].map(|n| (&part.nodes[n].position_mm, 0.0));
+        let corners: Vec<_> = std::iter::once(from).chain(bends.iter().copied()).chain([to]).collect();
+        let is_short = |legs: &[(&Point3<f64>, f64)]| {
+            let straight_mm = (legs[1].0 - legs[0].0).norm() - cut_mm(legs[0].1) - cut_mm(legs[1].1);
+            straight_mm < STRAIGHT_THICKNESSES_MIN * part.thickness_mm
+        };
+        let is_soft = |turn_rad: f64| {
+            turn_rad < CORNER_RAD_MIN || off_mm(turn_rad) > CORNER_THICKNESSES_MAX * part.thickness_mm
+        };
+        bends.iter().any(|(_, turn_rad)| is_soft(*turn_rad))
+            || !bends.is_empty() && corners.windows(2).any(is_short)
     })
 }
 
