@@ -225,21 +225,28 @@ pub fn of_single_end(
 }
 
 /// Adds to `pool` the poses of a bent part `part` that two ends, which hold it but for a turn about the line through both, and
-/// the foreground hold, of those that `may_lie` allows.
+/// the foreground hold, of those that `may_lie` allows. How steep the line through ends near each other is nobody sees; it is
+/// taken to lie level, across `down`.
 pub fn of_two_ends(
     params: &SingleParams,
     part: usize,
     judge: &Judge,
     [one, other]: [&SingleNode; 2],
+    down: &Vector3<f64>,
     may_lie: impl Fn(&Isometry3<f64>) -> bool,
     pool: &mut Vec<Hypothesis>,
 ) {
-    let apart = other.node.point_mm - one.node.point_mm;
-    let apart_mm = apart.norm();
     let is_end = |single: &SingleNode| single.node.role == NodeRole::End;
-    if !(is_end(one) && is_end(other)) || apart_mm < ENDS_APART_THICKNESSES * judge.model.thickness_mm {
+    let mut apart = other.node.point_mm - one.node.point_mm;
+    if apart.norm() < STEEP_THICKNESSES_MIN * judge.model.thickness_mm {
+        apart -= down * down.dot(&apart);
+    }
+    let apart_mm = apart.norm();
+    if !(is_end(one) && is_end(other)) || apart_mm < judge.model.thickness_mm {
         return;
     }
+    let middle_mm = nalgebra::center(&one.node.point_mm, &other.node.point_mm);
+    let ends_mm = [middle_mm - apart / 2.0, middle_mm + apart / 2.0];
     let anchors = &judge.model.anchors;
     let ends = || anchors.iter().enumerate().filter(|(_, anchor)| anchor.role == NodeRole::End);
     // What is the same by a symmetry of the part is tried once.
@@ -248,9 +255,9 @@ pub fn of_two_ends(
             if (judge.model.distance_mm(a, b) - apart_mm).abs() > judge.length_tolerance_mm {
                 continue;
             }
-            let pairs = [(first.position_mm, one.node.point_mm), (second.position_mm, other.node.point_mm)];
+            let pairs = [(first.position_mm, ends_mm[0]), (second.position_mm, ends_mm[1])];
             let Some(start) = rigid_motion(&pairs) else { continue };
-            let turned = |turn: usize| turned_about(&one.node.point_mm, &apart, turn) * start;
+            let turned = |turn: usize| turned_about(&middle_mm, &apart, turn) * start;
             for_turns(judge, params.coverage_min, turned, &may_lie, |pose| {
                 let mut hypothesis = one.hypothesis((part, a), judge, pose, 0);
                 hypothesis.nodes[b] = other.index as u16;
@@ -260,8 +267,8 @@ pub fn of_two_ends(
     }
 }
 
-/// Ends nearer to each other than so many thicknesses do not tell in which direction a part lies.
-const ENDS_APART_THICKNESSES: f64 = 4.0;
+/// Ends nearer to each other than so many thicknesses do not tell how steep the line through both is.
+const STEEP_THICKNESSES_MIN: f64 = 4.0;
 
 /// Gives the poses, of all turns, that the foreground holds, each with its share of it.
 fn for_turns(

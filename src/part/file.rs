@@ -158,7 +158,8 @@ impl Check<'_> {
     fn nodes(&self, texts: &[NodeText]) -> Result<Vec<PartNode>, PartError> {
         if texts.len() < 2 || texts.len() > NODES_MAX {
             let problem = format!(
-                "{} [[node]] tables; a part has 2 to {NODES_MAX} end points and junctions",
+                "{} [[node]] tables; a part has 2 to {NODES_MAX} end points and junctions (a closed ring, which has \
+                 none, is not recognised)",
                 texts.len()
             );
             return Err(self.shape(problem));
@@ -263,7 +264,8 @@ impl Check<'_> {
                 1 => NodeKind::End,
                 2 => {
                     let problem =
-                        "joins two edges only: make them one edge, with this point as `via` if it is a bend";
+                        "joins two edges only: make them one edge, with this point as `via` if it is a bend (a closed \
+                         ring, which has no end and no junction, is not recognised)";
                     return Err(self.shape(format!("node {name} {problem}")));
                 }
                 _ => NodeKind::Junction,

@@ -102,6 +102,8 @@ pub struct Verdict {
     pub hidden_px: f64,
     /// Root mean square distance of the seen middles from the expected ones, in pixels.
     pub offset_px: f64,
+    /// How wide the wire is seen, in the mean of where it is seen clearly, over the width of its silhouette.
+    pub width_ratio: Option<f64>,
     /// Whether the wire is seen narrower than any light makes it: it is thinner than the part's, or farther away.
     pub is_narrow: bool,
 }
@@ -210,6 +212,7 @@ pub fn verify(
     verdict.solid = shares.map(|s| s[2]);
     verdict.offset_px = if seen > 0.0 { f64::sqrt(squares / seen) } else { f64::INFINITY };
     let is_polished = views.iter().any(|view| view.profiler.is_polished());
+    verdict.width_ratio = (clear > 0.0).then(|| widths / clear);
     verdict.is_narrow = widths < clear * if is_polished { POLISHED_WIDTH_MIN } else { LIT_WIDTH_MIN };
     verdict.onward.clear();
     for (index, stop) in stops.iter().enumerate() {

@@ -345,10 +345,14 @@ impl Recognizer {
                 if !prepared.match_model.smooth {
                     continue;
                 }
-                for (m, other) in free_ends().filter(|(m, _)| *m < n) {
+                for (m, other) in free_ends().take_while(|(m, _)| *m < n) {
+                    if looking.is_over() {
+                        break;
+                    }
                     let images = [&left[other.left as usize], &right[other.right as usize]];
                     let other = SingleNode { index: m, node: other, images };
-                    hypotheses::of_two_ends(&params.single, index, &judge, [&single, &other], may_lie, pool);
+                    let two = [&single, &other];
+                    hypotheses::of_two_ends(&params.single, index, &judge, two, &down, may_lie, pool);
                 }
             }
         }

@@ -98,6 +98,10 @@ impl Recognizer {
             let [left, right] = self.pictures.each_ref().map(Picture::half_width_px);
             return self.votes.are_apart([left.min(right), left.max(right)], ENDS_WITHOUT_PARTS_MIN);
         }
+        // Ends say nothing of parts that have none.
+        if parts.iter().all(|found| self.parts[found.part].pose_model.ends.is_empty()) {
+            return false;
+        }
         let focal_px = rig_of(&self.scales, &self.pictures).right.focal_px();
         let depth_mm = || parts.iter().map(|found| found.left_from_part.translation.z);
         let [nearest, farthest] = [depth_mm().fold(f64::MAX, f64::min), depth_mm().fold(0.0, f64::max)];
