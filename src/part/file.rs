@@ -263,8 +263,7 @@ impl Check<'_> {
                 }
                 1 => NodeKind::End,
                 2 => {
-                    let problem =
-                        "joins two edges only: make them one edge, with this point as `via` if it is a bend (a closed \
+                    let problem = "joins two edges only: make them one edge, with this point as `via` if it is a bend (a closed \
                          ring, which has no end and no junction, is not recognised)";
                     return Err(self.shape(format!("node {name} {problem}")));
                 }

@@ -102,7 +102,8 @@ pub struct Verdict {
     pub hidden_px: f64,
     /// Root mean square distance of the seen middles from the expected ones, in pixels.
     pub offset_px: f64,
-    /// How wide the wire is seen, in the mean of where it is seen clearly, over the width of its silhouette.
+    /// How wide the wire is seen, in the mean of where it is seen clearly, over how wide wire of the part's thickness is seen as a
+    /// rule.
     pub width_ratio: Option<f64>,
     /// Whether the wire is seen narrower than any light makes it: it is thinner than the part's, or farther away.
     pub is_narrow: bool,
@@ -112,6 +113,10 @@ pub struct Verdict {
 /// polished wire, outlines are taken farther down; but it is dark at its sides.
 const LIT_WIDTH_MIN: f64 = 0.62;
 const POLISHED_WIDTH_MIN: f64 = 0.5;
+/// The same as a rule, and of dark wire.
+const LIT_WIDTH: f64 = 0.85;
+const POLISHED_WIDTH: f64 = 0.67;
+const DARK_WIDTH: f64 = 1.0;
 
 impl Verdict {
     /// Nothing yet, with memory for a part of so many stations and stops.
@@ -212,7 +217,12 @@ pub fn verify(
     verdict.solid = shares.map(|s| s[2]);
     verdict.offset_px = if seen > 0.0 { f64::sqrt(squares / seen) } else { f64::INFINITY };
     let is_polished = views.iter().any(|view| view.profiler.is_polished());
-    verdict.width_ratio = (clear > 0.0).then(|| widths / clear);
+    let usual = match (is_polished, views.iter().any(|view| view.profiler.dark_parts())) {
+        (true, _) => POLISHED_WIDTH,
+        (_, true) => DARK_WIDTH,
+        _ => LIT_WIDTH,
+    };
+    verdict.width_ratio = (clear > 0.0).then(|| widths / (clear * usual));
     verdict.is_narrow = widths < clear * if is_polished { POLISHED_WIDTH_MIN } else { LIT_WIDTH_MIN };
     verdict.onward.clear();
     for (index, stop) in stops.iter().enumerate() {

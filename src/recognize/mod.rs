@@ -334,7 +334,8 @@ impl Recognizer {
         for (index, prepared) in parts.iter().enumerate().filter(|(_, p)| !p.match_model.straight) {
             let judge = prepared.judge(rig, pictures, params);
             let may_lie = |pose: &Isometry3<f64>| !prepared.is_too_steep(pose, &down, params.slope_rad_max);
-            let free_ends = || search.near_nodes().filter(|(_, node)| !explanations.has_end(node, prepared));
+            let free_ends =
+                || search.near_nodes().filter(|(_, node)| !explanations.has_end(node, prepared, parts));
             for (n, node) in free_ends() {
                 if looking.is_over() {
                     break;

@@ -81,6 +81,11 @@ impl Explanations {
             let overrun_mm = select::unclaimed_overrun_mm(model, verdict, &self.claims);
             *is_proven = select::is_proven(model, fit, verdict, overrun_mm);
         }
+        for k in 0..self.standing.len() {
+            let index = self.standing[k];
+            self.list[index].is_proven &=
+                !self.have_kin[self.list[index].hypothesis.part] || !self.may_be_kin(index, parts);
+        }
         self.drop_dim();
         in_time
     }
@@ -258,6 +263,14 @@ impl Explanations {
         may_stand: impl Fn(&Explanation, Worth) -> bool,
     ) {
         self.claims.iter_mut().for_each(ClaimMap::clear);
+        if self.have_kin.contains(&true) {
+            let usual = self.usual_width();
+            for explanation in &mut self.list[..self.count] {
+                let width =
+                    explanation.verdict.width_ratio.filter(|_| self.have_kin[explanation.hypothesis.part]);
+                explanation.kin_mm = width.map_or(0.0, |width| params.width_mm * (width / usual).ln().abs());
+            }
+        }
         for explanation in &mut self.list[..self.count] {
             explanation.alone = explanation.worth(parts, params, &self.claims);
             (explanation.is_dropped, explanation.is_left_out) = (false, false);
@@ -334,6 +347,7 @@ impl Explanation {
     /// What it is worth, given what is claimed.
     pub(super) fn worth(&self, parts: &[Prepared], params: &select::Params, claims: &[ClaimMap; 2]) -> Worth {
         let model = &parts[self.hypothesis.part].pose_model;
-        select::worth(params, model, &self.fit, &self.verdict, claims)
+        let Worth { now_mm, at_most_mm } = select::worth(params, model, &self.fit, &self.verdict, claims);
+        Worth { now_mm: now_mm - self.kin_mm, at_most_mm: at_most_mm - self.kin_mm }
     }
 }

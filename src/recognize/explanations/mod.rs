@@ -4,6 +4,7 @@
 //! they claim.
 
 mod competition;
+mod kin;
 
 use arrayvec::ArrayVec;
 use nalgebra::{Isometry3, Matrix6, Vector2, Vector3};
@@ -63,6 +64,8 @@ pub(super) struct Explanation {
     has_claimed: bool,
     /// Whether its wire is settled for all parts that are not longer.
     is_settled: bool,
+    /// What speaks against the thickness of its wire, in mm.
+    kin_mm: f64,
     /// What it is worth with nothing claimed.
     alone: Worth,
     /// How many stood when it was last asked what it is worth, and what it was worth then.
@@ -108,8 +111,10 @@ pub(super) struct Explanations {
     claims: [ClaimMap; 2],
     /// For every part of the list, the wire in the left picture that it need not explain again.
     settled: Vec<ClaimMap>,
-    /// For image nodes, left and right, the length in mm of the longest part recognised for certain that ends there.
-    ends_taken: [Vec<f64>; 2],
+    /// For each part whether it has kin.
+    have_kin: Vec<bool>,
+    /// For image nodes, left and right, the longest part recognised for certain that ends there.
+    ends_taken: [Vec<Option<usize>>; 2],
     /// Coarse poses that show no end.
     endless: Vec<(Hypothesis, Isometry3<f64>)>,
     /// Coarse poses that were refined.
@@ -143,6 +148,7 @@ impl Explanations {
             overrun_mm: 0.0,
             has_claimed: false,
             is_settled: false,
+            kin_mm: 0.0,
             alone: Worth::NONE,
             worth: (0, Worth::NONE),
             stood_mm: 0.0,
@@ -155,6 +161,7 @@ impl Explanations {
             count: 0,
             claims: [&rig.left, &rig.right].map(|c| ClaimMap::new(c.width, c.height)),
             settled: parts.iter().map(|_| ClaimMap::new(rig.left.width, rig.left.height)).collect(),
+            have_kin: kin::have_kin(parts),
             ends_taken: [0, 1].map(|_| Vec::with_capacity(nodes_max)),
             endless: Vec::with_capacity(EXPLANATIONS_MAX),
             refined: Vec::with_capacity(REFINED_MAX),
@@ -173,7 +180,7 @@ impl Explanations {
         self.claims.iter_mut().chain(&mut self.settled).for_each(ClaimMap::clear);
         for (taken, nodes) in self.ends_taken.iter_mut().zip(image_nodes) {
             taken.clear();
-            taken.resize(nodes.len(), 0.0);
+            taken.resize(nodes.len(), None);
         }
     }
 
@@ -281,7 +288,7 @@ impl Explanations {
             return Some(index);
         }
         let explanation = &mut self.list[self.count];
-        (explanation.hypothesis, explanation.fit) = (*hypothesis, fit);
+        (explanation.hypothesis, explanation.fit, explanation.kin_mm) = (*hypothesis, fit, 0.0);
         (explanation.has_ends, explanation.has_claimed, explanation.is_settled) = (false, false, false);
         let verdict = &mut explanation.verdict;
         verify(&self.refine, model, &prepared.stops, &fit.left_from_part, &scene.views, verdict);
@@ -327,10 +334,14 @@ impl Explanations {
     fn take_ends(&mut self, index: usize, scene: &Scene) {
         let Explanation { hypothesis, ends_px, has_ends, .. } = &mut self.list[index];
         *has_ends = true;
-        let length_mm = scene.parts[hypothesis.part].pose_model.length_mm;
+        let length_mm = |part: usize| scene.parts[part].pose_model.length_mm;
         for end in ends_px {
             for (side, px) in end.iter().enumerate() {
-                take_end(scene.image_nodes[side], px, &mut self.ends_taken[side], length_mm);
+                if let Some(n) = nearest_end(scene.image_nodes[side], px) {
+                    let taken = &mut self.ends_taken[side][n];
+                    let is_longer = taken.is_none_or(|by| length_mm(by) < length_mm(hypothesis.part));
+                    *taken = if is_longer { Some(hypothesis.part) } else { *taken };
+                }
             }
         }
     }
@@ -370,15 +381,14 @@ impl Explanations {
         }
     }
 
-    /// No part that is not longer need explain the wire of an explanation again.
+    /// No part that is not longer, but for its kin, need explain the wire of an explanation again.
     fn settle(&mut self, index: usize, parts: &[Prepared]) {
         if std::mem::replace(&mut self.list[index].is_settled, true) {
             return;
         }
         let Explanation { hypothesis, verdict, .. } = &self.list[index];
-        let length_mm = parts[hypothesis.part].pose_model.length_mm;
         for (settled, part) in self.settled.iter_mut().zip(parts) {
-            if part.pose_model.length_mm <= length_mm {
+            if parts[hypothesis.part].settles_for(part) {
                 settle_for(settled, verdict);
             }
         }
@@ -400,13 +410,13 @@ impl Explanations {
     fn takes_taken_end(&self, scene: &Scene, hypothesis: &Hypothesis) -> bool {
         let prepared = &scene.parts[hypothesis.part];
         let mut nodes = hypothesis.nodes.iter().filter(|n| **n != UNMATCHED);
-        nodes.any(|&n| self.has_end(&scene.stereo_nodes[n as usize], prepared))
+        nodes.any(|&n| self.has_end(&scene.stereo_nodes[n as usize], prepared, scene.parts))
     }
 
-    /// Whether a node is an end of an explanation that is held by it, and whose part is not shorter than this one.
-    pub(super) fn has_end(&self, node: &StereoNode, prepared: &Prepared) -> bool {
-        let length_mm = self.ends_taken[0][node.left as usize].max(self.ends_taken[1][node.right as usize]);
-        length_mm >= prepared.pose_model.length_mm
+    /// Whether a node is an end of an explanation that is held by it, and whose part is not shorter than this one, nor its kin.
+    pub(super) fn has_end(&self, node: &StereoNode, prepared: &Prepared, parts: &[Prepared]) -> bool {
+        let taken = [self.ends_taken[0][node.left as usize], self.ends_taken[1][node.right as usize]];
+        taken.into_iter().flatten().any(|by| parts[by].settles_for(prepared))
     }
 
     /// Whether most of the wire that a part at a pose would explain need not be explained again.
@@ -429,15 +439,12 @@ fn settle_for(settled: &mut ClaimMap, verdict: &Verdict) {
     settled.claim(verdict.pieces.iter().map(|[left, _]| left));
 }
 
-/// Marks the end of a picture at a place as that of a part of this length: the nearest, for another wire may end beside it.
-fn take_end(nodes: &[ImageNode], at: &Vector2<f64>, taken: &mut [f64], length_mm: f64) {
+/// The end of a picture at a place: the nearest, for another wire may end beside it.
+fn nearest_end(nodes: &[ImageNode], at: &Vector2<f64>) -> Option<usize> {
     let distance_px = |node: &ImageNode| (node.position_px - at).norm();
-    let nearest = (0..nodes.len())
+    (0..nodes.len())
         .filter(|&n| nodes[n].role == NodeRole::End && distance_px(&nodes[n]) < SAME_END_PX)
-        .min_by(|&a, &b| distance_px(&nodes[a]).total_cmp(&distance_px(&nodes[b])));
-    if let Some(n) = nearest {
-        taken[n] = taken[n].max(length_mm);
-    }
+        .min_by(|&a, &b| distance_px(&nodes[a]).total_cmp(&distance_px(&nodes[b])))
 }
 
 #[cfg(test)]

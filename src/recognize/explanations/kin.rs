@@ -1,0 +1,83 @@
+//! Parts of about the same shape, but of thicker or thinner wire: their poses are the same, and nothing but the width that their
+//! wire is seen with tells them apart.
+//!
+//! Light makes all wire of a bin wider or narrower alike. So the usual width is that at which most explanations agree, and
+//! where that leaves a choice, as with one part alone, the one that light makes as a rule.
+
+use nalgebra::Isometry3;
+
+use super::{Explanation, Explanations};
+use crate::matching::select;
+use crate::pose::model::FreeEnd;
+use crate::recognize::prepared::Prepared;
+
+/// Parts are alike whose lengths differ by less than this share, and unlike in thickness where that differs by more.
+const LENGTH_SHARE: f64 = 0.1;
+const THICKNESS_SHARE: f64 = 0.05;
+/// Widths whose quotient has a logarithm below this agree somewhat; and how much less the usual width is worth, as a share of
+/// all explanations, that is e times another than as a rule.
+const AGREE: f64 = 0.12;
+const AS_A_RULE: f64 = 0.25;
+/// Two parts at the same place whose worth differs by less, in mm, cannot be told apart.
+const TELL_APART_MM: f64 = 2.0;
+/// Their nodes are nearer than this then, in mm, in the mean.
+const SAME_PLACE_MM: f64 = 4.0;
+
+impl Prepared {
+    /// Whether nothing but the thickness of its wire tells another part from this one.
+    pub(super) fn is_kin(&self, other: &Self) -> bool {
+        let [a, b] = [self, other].map(|p| &p.pose_model);
+        let differs = |a: f64, b: f64, share: f64| (a - b).abs() > share * a.max(b);
+        !differs(a.length_mm, b.length_mm, LENGTH_SHARE)
+            && differs(a.radius_mm, b.radius_mm, THICKNESS_SHARE)
+            && a.straight_along.is_some() == b.straight_along.is_some()
+            && a.ends.len() == b.ends.len()
+    }
+
+    /// Whether another part need not explain wire again that this one has for certain.
+    pub(super) fn settles_for(&self, other: &Self) -> bool {
+        other.pose_model.length_mm <= self.pose_model.length_mm && !self.is_kin(other)
+    }
+}
+
+/// For each part whether it has kin.
+pub(super) fn have_kin(parts: &[Prepared]) -> Vec<bool> {
+    parts.iter().map(|part| parts.iter().any(|other| part.is_kin(other))).collect()
+}
+
+impl Explanations {
+    /// How wide the wire of this pair is seen, over how wide it is as a rule.
+    pub(super) fn usual_width(&self) -> f64 {
+        let is_known = |e: &&Explanation| select::is_sound(&e.fit, &e.verdict, e.overrun_mm);
+        let widths = || self.all().iter().filter(is_known).filter_map(|e| e.verdict.width_ratio);
+        let agreement = |usual: f64| {
+            let agrees = |width: f64| (1.0 - (width / usual).ln().abs() / AGREE).max(0.0);
+            widths().map(|width| agrees(width) - AS_A_RULE * usual.ln().abs()).sum::<f64>()
+        };
+        let best = widths().map(|usual| (usual, agreement(usual))).max_by(|a, b| a.1.total_cmp(&b.1));
+        best.map_or(1.0, |(usual, _)| usual)
+    }
+
+    /// Whether one that stands could as well be a part of thicker or thinner wire.
+    pub(super) fn may_be_kin(&self, index: usize, parts: &[Prepared]) -> bool {
+        let standing = &self.list[index];
+        let prepared = &parts[standing.hypothesis.part];
+        let pose = &standing.fit.left_from_part;
+        self.all().iter().any(|e| {
+            let other = &parts[e.hypothesis.part];
+            prepared.is_kin(other)
+                && e.alone.now_mm > standing.alone.now_mm - TELL_APART_MM
+                && ends_apart_mm([prepared, other], [pose, &e.fit.left_from_part]) < SAME_PLACE_MM
+        })
+    }
+}
+
+/// How far the free ends of a part lie from the nearest ones of another, in the mean.
+fn ends_apart_mm([one, other]: [&Prepared; 2], [a, b]: [&Isometry3<f64>; 2]) -> f64 {
+    let ends = &one.pose_model.ends;
+    let nearest_mm = |end: &FreeEnd| {
+        let apart = other.pose_model.ends.iter().map(|o| (a * end.position_mm - b * o.position_mm).norm());
+        apart.fold(f64::MAX, f64::min)
+    };
+    ends.iter().map(nearest_mm).sum::<f64>() / ends.len().max(1) as f64
+}
