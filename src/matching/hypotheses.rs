@@ -429,6 +429,30 @@ mod tests {
     }
 
     #[test]
+    fn a_bent_part_is_turned_about_the_line_through_both_its_ends_until_its_wire_is_there() {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts/hook.toml");
+        let model = MatchModel::new(&Part::read(file).unwrap());
+        for seed in 0..20 {
+            let scene = DrawnScene::of(model.clone(), 1, seed);
+            let truth = scene.left_from_part[0];
+            let [(a, a_images), (b, b_images)] = [0, 1].map(|anchor| single_end(&scene, anchor));
+            let first = SingleNode { index: 5, node: &a, images: [&a_images[0], &a_images[1]] };
+            let second = SingleNode { index: 6, node: &b, images: [&b_images[0], &b_images[1]] };
+            for two in [[&first, &second], [&second, &first]] {
+                let mut pool = Vec::with_capacity(100);
+                let params = SingleParams::default();
+                of_two_ends(&params, 0, &scene.judge(), two, &Vector3::z(), |_| true, &mut pool);
+                let off_rad = |h: &Hypothesis| h.left_from_part.rotation.angle_to(&truth.rotation);
+                let nearest_rad =
+                    pool.iter().filter(|h| h.nodes[..2] == [5, 6]).map(off_rad).fold(9.0, f64::min);
+                // A step of turns, and what thick wire leaves open.
+                assert!(nearest_rad < 0.6, "{seed}: {nearest_rad}");
+                assert!(pool.len() <= 4, "{seed}: {}", pool.len());
+            }
+        }
+    }
+
+    #[test]
     fn of_the_turns_that_fit_the_middle_one_is_taken_all_round() {
         let mut shares = [0.0; TURNS];
         shares[7..10].fill(0.9);

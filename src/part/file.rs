@@ -17,6 +17,8 @@ use super::{
 const COORDINATE_MAX_MM: f64 = 10_000.0;
 /// Thinner wire is a slip of units.
 const THICKNESS_MIN_MM: f64 = 0.05;
+/// Points of a few digits are believed to leave room for a bend.
+const BEND_FITS: f64 = 1.001;
 /// Of more wire not all would be looked at: it has a station a thickness and up to one more an edge, and there is room for
 /// 1024 of a part.
 const LENGTH_THICKNESSES_MAX: f64 = 900.0;
@@ -306,7 +308,7 @@ impl Check<'_> {
                     .shape(format!("{name} turns back on itself at a via; a bend is at most 177 degrees")));
             }
             let fits_mm = bend_radius_max_mm(&legs);
-            if bend_radius_mm.is_some_and(|radius_mm| radius_mm > fits_mm + 1e-3) {
+            if bend_radius_mm.is_some_and(|radius_mm| radius_mm > BEND_FITS * fits_mm) {
                 let problem = format!("does not fit between the legs of {name}; at most {fits_mm:.2} does");
                 return Err(self.value("bend_radius_mm", part.bend_radius_mm, &problem));
             }

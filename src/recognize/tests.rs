@@ -2,6 +2,8 @@ use std::path::Path;
 
 use super::*;
 use crate::frame::{Frame, PixelFormat};
+use crate::pose::drawn::DrawnPair;
+use crate::pose::model::PoseModel;
 use crate::rig::CameraModel;
 use crate::session::Session;
 
@@ -333,5 +335,50 @@ fn exchanged_pictures_are_refused() {
         let refusal = recognizer(rig).run(&exchanged, Budget::Iterations(200_000), 1, &mut found);
         assert_eq!(refusal, Err(Refusal::Exchanged));
         assert!(found.parts.is_empty());
+    }
+}
+
+/// A part bent along a smooth arc of 70 mm, with a corner every 10 degrees in its file, and what draws it: short pieces.
+fn arc() -> (Part, Vec<Isometry3<f64>>) {
+    let (radius_mm, half_rad) = (70.0, 0.5);
+    let at = |radius_mm: f64, angle: f64| radius_mm * Vector3::new(angle.sin(), angle.cos(), 0.0);
+    let corner_mm = radius_mm / f64::cos(half_rad / 6.0);
+    let corners = (0..6).map(|k| at(corner_mm, (f64::from(k) - 2.5) * half_rad / 3.0));
+    let shown = |p: Vector3<f64>| format!("[{:.4}, {:.4}, 0]", p.x, p.y);
+    let text = format!(
+        "name='arc'\nthickness_mm=3\nbend_radius_mm={radius_mm}\n\
+         node=[{{name='a',position_mm={}}},{{name='b',position_mm={}}}]\nedge=[{{from='a',to='b',via=[{}]}}]\n\
+         [grasp]\nposition_mm=[0,{radius_mm},0]\napproach=[0,0,-1]\nclosing=[0,1,0]\nwidth_mm=8\n",
+        shown(at(radius_mm, -half_rad)),
+        shown(at(radius_mm, half_rad)),
+        corners.map(shown).collect::<Vec<_>>().join(", ")
+    );
+    let pieces = (-23..=23).map(|k| {
+        let angle = f64::from(k) / 23.0 * (half_rad - 1.6 / radius_mm);
+        Isometry3::new(at(radius_mm, angle), Vector3::z() * -angle)
+    });
+    (Part::parse(&text, "arc.toml").unwrap(), pieces.collect())
+}
+
+#[test]
+fn smooth_arcs_are_found_by_their_ends() {
+    let (part, pieces) = arc();
+    let piece = "name='piece'\nthickness_mm=3\n\
+                 node=[{name='a',position_mm=[-1.6,0,0]},{name='b',position_mm=[1.6,0,0]}]\nedge=[{from='a',to='b'}]\n\
+                 [grasp]\nposition_mm=[0,0,0]\napproach=[0,0,-1]\nclosing=[0,1,0]\nwidth_mm=8\n";
+    let piece = PoseModel::new(&Part::parse(piece, "piece.toml").unwrap());
+    for turn in [0.2, 1.4, 2.9] {
+        let pose = Isometry3::new(Vector3::new(0.0, 0.0, 500.0), Vector3::z() * turn)
+            * Isometry3::translation(0.0, -65.0, 0.0);
+        let drawn: Vec<_> = pieces.iter().map(|place| (&piece, pose * place)).collect();
+        let DrawnPair { rig, frames: [left, right], .. } = DrawnPair::new(&drawn);
+        let mut recognizer = Recognizer::new(Params::default(), rig, vec![part.clone()]).unwrap();
+        let found = run(&mut recognizer, &FramePair { left, right });
+        let [found] = &found.parts[..] else { panic!("{turn}: {:?}", found.parts) };
+        let farthest_mm = part.nodes.iter().map(|node| {
+            let there = found.left_from_part * node.position_mm;
+            part.nodes.iter().map(|n| (pose * n.position_mm - there).norm()).fold(99.0, f64::min)
+        });
+        assert!(farthest_mm.fold(0.0, f64::max) < 2.0 && found.proven, "{turn}: {found:?}");
     }
 }

@@ -81,3 +81,61 @@ fn ends_apart_mm([one, other]: [&Prepared; 2], [a, b]: [&Isometry3<f64>; 2]) -> 
     };
     ends.iter().map(nearest_mm).sum::<f64>() / ends.len().max(1) as f64
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use crate::frame::FramePair;
+    use crate::part::Part;
+    use crate::pose::drawn::DrawnPair;
+    use crate::pose::model::PoseModel;
+    use crate::recognize::{Params, Recognition, Recognizer};
+    use crate::time::Budget;
+
+    fn rod(thickness_mm: f64) -> Part {
+        let text = format!(
+            "name='{thickness_mm}'\nthickness_mm={thickness_mm}\n\
+             node=[{{name='a',position_mm=[-35,0,0]}},{{name='b',position_mm=[35,0,0]}}]\n\
+             edge=[{{from='a',to='b'}}]\n\
+             [grasp]\nposition_mm=[0,0,0]\napproach=[0,0,-1]\nclosing=[0,1,0]\nwidth_mm=8\n"
+        );
+        Part::parse(&text, "rod.toml").unwrap()
+    }
+
+    /// What level rods of these thicknesses, one beside the other, are recognised as, from left to right, and which of them are
+    /// proven; with files for rods of these thicknesses.
+    fn recognised(lying: &[f64], files: &[f64]) -> Vec<(f64, bool)> {
+        let models: Vec<PoseModel> =
+            lying.iter().map(|thickness_mm| PoseModel::new(&rod(*thickness_mm))).collect();
+        let pose = |k: usize| {
+            let at = Vector3::new(40.0 * k as f64 - 60.0, 0.0, 500.0);
+            nalgebra::Isometry3::new(at, Vector3::z() * (1.2 + 0.1 * k as f64))
+        };
+        let placed: Vec<_> = models.iter().enumerate().map(|(k, model)| (model, pose(k))).collect();
+        let drawn = DrawnPair::new(&placed);
+        let [left, right] = drawn.frames;
+        let parts = files.iter().map(|thickness_mm| rod(*thickness_mm)).collect();
+        let mut recognizer = Recognizer::new(Params::default(), drawn.rig, parts).unwrap();
+        let mut out = Recognition::default();
+        recognizer.run(&FramePair { left, right }, Budget::Iterations(100_000), 1, &mut out).unwrap();
+        out.parts.sort_by(|a, b| a.grasp.position_mm.x.total_cmp(&b.grasp.position_mm.x));
+        out.parts.iter().map(|found| (files[found.part], found.proven)).collect()
+    }
+
+    #[test]
+    fn rods_that_differ_in_thickness_alone_are_told_apart_whatever_the_order_of_their_files() {
+        let lying = [3.0, 4.0, 3.0, 5.0];
+        let expected = lying.map(|thickness_mm| (thickness_mm, true));
+        for files in [[3.0, 4.0, 5.0], [5.0, 4.0, 3.0], [4.0, 3.0, 5.0]] {
+            assert_eq!(recognised(&lying, &files), expected, "{files:?}");
+        }
+    }
+
+    #[test]
+    fn what_may_as_well_be_another_part_is_not_proven() {
+        let found = recognised(&[3.0, 3.0], &[3.0, 3.2]);
+        assert!(found.len() == 2 && found.iter().all(|(_, proven)| !proven), "{found:?}");
+        assert_eq!(recognised(&[3.0, 3.0], &[3.0]), [(3.0, true); 2]);
+    }
+}
