@@ -11,7 +11,7 @@ use crate::pose::verify::{PieceSight, Sight};
 /// background. Grain makes a quarter of that; stains may make nearly as much.
 const NOTCH_SHARE: f64 = 1.0;
 /// Where across the wire there is a notch, in half widths from its middle: a scratch does not go through.
-const ACROSS: [f64; 3] = [-0.35, 0.0, 0.35];
+const ACROSS: [f64; 3] = [0.0, -0.35, 0.35];
 /// How far a notch may lie beyond the stations that it lies between, in pixels.
 const BEYOND_PX: f64 = 1.0;
 /// Cosine of the angle up to which wire is straight over four stations, and the least share of its length that a picture shows.
@@ -27,8 +27,8 @@ pub(super) fn is_interrupted(model: &PoseModel, explanation: &Explanation, views
         let length_radii = (stations[2].position_mm - stations[1].position_mm).norm() / model.radius_mm;
         [0, 1].into_iter().all(|side: usize| {
             let between = [&pieces[1][side], &pieces[2][side]];
-            let length_px = LENGTH_SHARE_MIN * length_radii * between[0].half_width_px;
-            notch(between, length_px, &views[side]).is_some_and(|notch| notch > NOTCH_SHARE * above)
+            let least_px = LENGTH_SHARE_MIN * length_radii * between[0].half_width_px;
+            has_notch(between, least_px, NOTCH_SHARE * above, &views[side])
         })
     })
 }
@@ -40,19 +40,18 @@ fn is_straight(stations: &[Station]) -> bool {
         && first.tangent.dot(&last.tangent) > STRAIGHT_COS
 }
 
-/// By how many grey levels the light falls between two pieces of wire, or just beside them, all across the wire; `None` where
-/// they are not seen clearly and at least so many pixels apart.
-fn notch([a, b]: [&PieceSight; 2], least_px: f64, view: &View) -> Option<f64> {
+/// Whether the light falls by more than so many grey levels between two pieces of wire, or just beside them, all across the
+/// wire; not where they are not seen clearly and at least so many pixels apart.
+fn has_notch([a, b]: [&PieceSight; 2], least_px: f64, deep: f64, view: &View) -> bool {
     let middle = |piece: &PieceSight| {
         let (beside_px, _) = piece.seen_px.filter(|_| piece.sight == Sight::Clear)?;
         Some(piece.expected_px + piece.across * beside_px)
     };
-    let (from, to) = (middle(a)?, middle(b)?);
-    let apart_px = (to - from).norm();
-    let along = (to - from).try_normalize(least_px)?;
-    let place = from + (to - from) / 2.0;
-    let dip_at = |across: f64| {
-        view.profiler.dip(place + a.across * (across * a.half_width_px), along, apart_px / 2.0 + BEYOND_PX)
-    };
-    ACROSS.into_iter().map(dip_at).try_fold(f64::INFINITY, |least, dip| Some(least.min(dip?)))
+    let Some((from, to)) = middle(a).zip(middle(b)) else { return false };
+    let Some(along) = (to - from).try_normalize(least_px) else { return false };
+    let (place, near_px) = ((from + to) / 2.0, (to - from).norm() / 2.0 + BEYOND_PX);
+    ACROSS.iter().all(|across| {
+        let at = place + a.across * (across * a.half_width_px);
+        view.profiler.dip(at, along, near_px).is_some_and(|dip| dip > deep)
+    })
 }
