@@ -18,6 +18,8 @@ const THICKNESS_SHARE: f64 = 0.05;
 /// all explanations, that is e times another than as a rule.
 const AGREE: f64 = 0.12;
 const AS_A_RULE: f64 = 0.25;
+/// So many widths are tried above and below that as a rule, four to where two agree no more: half as wide to twice as wide.
+const WIDTHS: u32 = 24;
 /// Two parts at the same place whose worth differs by less, in mm, cannot be told apart.
 const TELL_APART_MM: f64 = 2.0;
 /// Their nodes are nearer than this then, in mm, in the mean.
@@ -50,12 +52,19 @@ impl Explanations {
     pub(super) fn usual_width(&self) -> f64 {
         let is_known = |e: &&Explanation| select::is_sound(&e.fit, &e.verdict, e.overrun_mm);
         let widths = || self.all().iter().filter(is_known).filter_map(|e| e.verdict.width_ratio);
-        let agreement = |usual: f64| {
-            let agrees = |width: f64| (1.0 - (width / usual).ln().abs() / AGREE).max(0.0);
-            widths().map(|width| agrees(width) - AS_A_RULE * usual.ln().abs()).sum::<f64>()
+        let agreement = |usual_ln: f64| {
+            let agrees = |width: f64| (1.0 - (width.ln() - usual_ln).abs() / AGREE).max(0.0);
+            widths().map(|width| agrees(width) - AS_A_RULE * usual_ln.abs()).sum::<f64>()
         };
-        let best = widths().map(|usual| (usual, agreement(usual))).max_by(|a, b| a.1.total_cmp(&b.1));
-        best.map_or(1.0, |(usual, _)| usual)
+        let tried = (1..=WIDTHS).flat_map(|k| [1.0, -1.0].map(|way| way * f64::from(k) * (AGREE / 4.0)));
+        let (mut best_ln, mut most) = (0.0, agreement(0.0));
+        for usual_ln in tried {
+            let agreed = agreement(usual_ln);
+            if agreed > most {
+                (best_ln, most) = (usual_ln, agreed);
+            }
+        }
+        best_ln.exp()
     }
 
     /// Whether one that stands could as well be a part of thicker or thinner wire.
