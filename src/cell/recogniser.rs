@@ -7,6 +7,7 @@ use super::desk::{File, Work};
 use crate::grasp;
 use crate::recognize::{NoPick, Recognizer, Refusal};
 use crate::time::Timestamp;
+use crate::vision::binarize;
 
 /// Recognises the pair of `work` into its file. Grasps can be candidates only `in_base`: if the rig says where the
 /// cameras stand.
@@ -17,6 +18,9 @@ pub fn recognise(recognizer: &mut Recognizer, work: &mut Work, in_base: bool) ->
     file.refusal = result.err();
     file.finished = Timestamp::now();
     match &file.refusal {
+        Some(Refusal::Binarize { reason: binarize::Refusal::Specks { .. }, .. }) => {
+            Found::nothing(Nothing::OverLimits)
+        }
         Some(Refusal::Size { .. } | Refusal::Damaged { .. } | Refusal::Binarize { .. }) => {
             Found::nothing(Nothing::BadPicture)
         }

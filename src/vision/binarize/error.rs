@@ -95,6 +95,14 @@ pub enum Refusal {
         /// Bytes needed.
         needed: usize,
     },
+    /// More specks than are dropped: a picture of noise.
+    #[error(
+        "picture has more than {specks_max} specks: more light, less gain, or a narrower colour range or region"
+    )]
+    Specks {
+        /// How many are.
+        specks_max: u32,
+    },
     /// A distance between rows that is less than a row.
     #[error("picture has rows of {stride_bytes} bytes, less than its {width} pixels need")]
     Stride {

@@ -98,6 +98,12 @@ pub struct Binarize {
     specks: speck::Specks,
 }
 
+/// How many specks, and things that are none, a picture of this size may have: several times what noise makes in which parts are
+/// still recognised.
+fn specks_max(width: usize, height: usize) -> u32 {
+    (width * height / 64).max(1024) as u32
+}
+
 impl Binarize {
     /// Checks `params` and allocates for pictures of this size in pixels; takes the best instructions there are.
     ///
@@ -137,7 +143,7 @@ impl Binarize {
             ]),
             ends: [vec![0; width.next_multiple_of(64)], vec![0; width.next_multiple_of(64)]],
             auto: auto::Auto::new(width, height, region.as_ref()),
-            specks: speck::Specks::new(width, height),
+            specks: speck::Specks::new(width, height, specks_max(width, height)),
             params,
             width,
             height,
@@ -168,7 +174,8 @@ impl Binarize {
     /// Writes every pixel of `bits`.
     ///
     /// # Errors
-    /// [`Refusal`] for frames of another size, compressed or short ones; `bits` is then unchanged.
+    /// [`Refusal`] for frames of another size, compressed or short ones; `bits` is then unchanged. And for more specks than one
+    /// in 64 pixels (1024 in small pictures): a picture of noise, not an empty one.
     pub fn run(&mut self, frame: &Frame, bits: &mut BitImage) -> Result<(), Refusal> {
         self.check(frame)?;
         self.check_size(bits.width(), bits.height())?;
@@ -181,6 +188,9 @@ impl Binarize {
         }
         self.invert_and_cut(bits);
         kernel::drop_specks(self.level, &mut self.specks, bits, self.params.speck_px_min);
+        if self.specks.were_too_many() {
+            return Err(Refusal::Specks { specks_max: specks_max(bits.width(), bits.height()) });
+        }
         Ok(())
     }
 

@@ -13,6 +13,9 @@ pub(super) struct Specks {
     object: Vec<u64>,
     /// The object being followed without a strip.
     wide: Wide,
+    /// So many objects are looked at in a picture at most, and so many were in the last one.
+    objects_max: u32,
+    looked_at: u32,
 }
 
 /// A strip of columns, whose left one may be outside the picture.
@@ -32,13 +35,19 @@ enum Followed {
 }
 
 impl Specks {
-    pub(super) fn new(width: usize, height: usize) -> Self {
-        Self { object: vec![0; height], wide: Wide::new(width, height) }
+    pub(super) fn new(width: usize, height: usize, objects_max: u32) -> Self {
+        Self { object: vec![0; height], wide: Wide::new(width, height), objects_max, looked_at: 0 }
+    }
+
+    /// Whether the last picture had more objects than are looked at: the rest of it still has its specks.
+    pub(super) fn were_too_many(&self) -> bool {
+        self.looked_at > self.objects_max
     }
 
     /// Drops 8-connected objects of fewer than `least` pixels.
     #[inline(always)]
     pub(super) fn drop_smaller(&mut self, bits: &mut BitImage, least: u32) {
+        self.looked_at = 0;
         if least < 2 {
             return;
         }
@@ -52,6 +61,10 @@ impl Specks {
                     while *ends != 0 {
                         let x = s * 64 + ends.trailing_zeros() as usize;
                         *ends &= *ends - 1;
+                        self.looked_at += 1;
+                        if self.were_too_many() {
+                            return;
+                        }
                         self.examine(bits, x, y, least);
                     }
                 }
@@ -258,7 +271,7 @@ mod tests {
     #[test]
     fn objects_below_the_size_are_dropped_and_corners_connect() {
         let mut p = BitImage::from_text("#...##\n.#....\n..#..#\n");
-        Specks::new(6, 3).drop_smaller(&mut p, 3);
+        Specks::new(6, 3, u32::MAX).drop_smaller(&mut p, 3);
         assert_eq!(p.to_text(), "#.....\n.#....\n..#...\n");
     }
 
@@ -275,7 +288,7 @@ mod tests {
         let picture = BitImage::from_text(text);
         for least in [2, 10, 11, 17, 18, 24, 30, 67, 68, 100] {
             let mut p = picture.clone();
-            Specks::new(90, 6).drop_smaller(&mut p, least);
+            Specks::new(90, 6, u32::MAX).drop_smaller(&mut p, least);
             assert_eq!(p.to_text(), slow(&picture, least).to_text(), "{least}");
         }
     }
@@ -296,7 +309,7 @@ mod tests {
                 }
             }
             let mut p = picture.clone();
-            Specks::new(width, height).drop_smaller(&mut p, least);
+            Specks::new(width, height, u32::MAX).drop_smaller(&mut p, least);
             prop_assert_eq!(p.to_text(), slow(&picture, least).to_text());
         }
     }

@@ -415,3 +415,24 @@ fn a_lone_part_between_the_samples_is_found_and_a_rim_beside_a_dark_wall_is_not(
         }
     }
 }
+
+#[test]
+fn noise_is_refused_and_no_empty_picture() {
+    // One pixel in four of every fourth row.
+    let specks = |count: usize| {
+        let mut bytes = vec![20u8; 640 * 480];
+        (0..count).for_each(|k| bytes[4 * (k % 160) + 640 * 4 * (k / 160)] = 220);
+        Frame::from_grey(640, 480, bytes)
+    };
+    let colour = ColourRange::Grey { min: 100, max: 255 };
+    let params = Params { colour, speck_px_min: 20, ..Params::default() };
+    for &level in Level::available() {
+        let mut binarize = Binarize::with_level(params.clone(), 640, 480, level).unwrap();
+        let mut bits = BitImage::new(640, 480);
+        assert_eq!(binarize.run(&specks(4800), &mut bits), Ok(()));
+        assert!(bits.words().iter().all(|word| *word == 0), "{level:?}");
+        let refusal = binarize.run(&specks(4801), &mut bits);
+        assert_eq!(refusal, Err(Refusal::Specks { specks_max: 4800 }), "{level:?}");
+        assert_eq!(binarize.run(&specks(7), &mut bits), Ok(()));
+    }
+}
