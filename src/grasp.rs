@@ -44,7 +44,7 @@ pub enum Blocked {
     /// Something in the way of a finger.
     #[error("no room for the fingers")]
     NoRoom,
-    /// Wire that no recognised part has shows where the fingers go, or where something crosses the part.
+    /// Wire that no recognised part has shows where the fingers go, something lies on the part, or its wire is interrupted.
     #[error("something unknown is in the way")]
     Unknown,
     /// The tool point of the grasp, its approach or its retreat is outside the box.

@@ -352,9 +352,7 @@ fn space_legs(
     node: &StereoNode,
     [left, right]: [&ImageNode; 2],
 ) -> ArrayVec<SpaceLeg, SPACE_LEGS_MAX> {
-    // What is across the line of sight of both: one camera may be rolled against the other.
-    let across = rig.right_from_left.rotation.to_rotation_matrix();
-    let across = across.matrix().fixed_view::<2, 2>(0, 0).into_owned();
+    let across = rig.right_from_left_across();
     let pairs = left.legs().iter().flat_map(|l| right.legs().iter().map(move |r| (l, r)));
     let alike = pairs.filter(|(l, r)| {
         let seen_by_right = across * l.direction_px;

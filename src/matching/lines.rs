@@ -142,8 +142,7 @@ impl Lines {
     ) {
         let geometry = rig.geometry();
         let left_from_right = geometry.rotation.transpose();
-        // What is across the line of sight of both: one camera may be rolled against the other.
-        let across = geometry.rotation.fixed_view::<2, 2>(0, 0).into_owned();
+        let across = rig.right_from_left_across();
         let [left, right] = stretches;
         let normal = |rays: &[Vector2<f64>; 2]| rays[0].push(1.0).cross(&rays[1].push(1.0)).normalize();
         self.seen.iter_mut().for_each(Vec::clear);

@@ -65,9 +65,6 @@ pub struct Params {
     pub claimed_weight: f64,
     /// Weight of missing and overrunning wire against seen wire.
     pub against: f64,
-    /// What wire costs that is seen e times as wide or as narrow as usual, in mm, where a part is known of about the same
-    /// shape, but of thicker or thinner wire. Within a bin the widths of one light are within some 5 %.
-    pub width_mm: f64,
 }
 
 impl Default for Params {
@@ -84,7 +81,6 @@ impl Default for Params {
             hidden_weight: 1.0,
             claimed_weight: 0.5,
             against: 3.0,
-            width_mm: 30.0,
         }
     }
 }

@@ -30,6 +30,8 @@ pub(super) struct Prepared {
     pub(super) stops: Vec<Stop>,
     /// Mean of nodes and bends, which no symmetry moves.
     middle_mm: Point3<f64>,
+    /// Distances between its nodes and bends, the shortest first.
+    pub(super) distances_mm: Vec<f64>,
     /// Slope in radians that some wire of the part has at least, however it lies: nought for a flat part.
     raised_rad: f64,
 }
@@ -43,7 +45,9 @@ impl Prepared {
         let sum = anchors.iter().map(|a| a.position_mm.coords).sum::<Vector3<f64>>();
         let middle_mm = Point3::from(sum / anchors.len().max(1) as f64);
         let raised_rad = raised_rad(&match_model);
-        Self { part, pose_model, match_model, stops, middle_mm, raised_rad }
+        let mut distances_mm = match_model.distances_mm.clone();
+        distances_mm.sort_by(f64::total_cmp);
+        Self { part, pose_model, match_model, stops, middle_mm, distances_mm, raised_rad }
     }
 
     pub(super) fn placed<'a>(

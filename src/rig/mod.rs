@@ -24,7 +24,7 @@ mod geometry;
 mod table;
 mod yaml;
 
-use nalgebra::{Isometry3, Matrix3, Point3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Isometry3, Matrix2, Matrix3, Point3, UnitQuaternion, Vector2, Vector3};
 
 pub use camera::CameraModel;
 pub use error::RigError;
@@ -53,6 +53,12 @@ impl Rig {
     #[inline]
     pub fn project_right(&self, point_left_mm: &Point3<f64>) -> Option<Vector2<f64>> {
         self.right.project(&(self.right_from_left * point_left_mm))
+    }
+
+    /// What of the turn from the left camera's frame to the right one's is seen across the line of sight: directions in the left
+    /// picture as the right one sees them, but for what is foreshortened. One camera may be rolled against the other.
+    pub fn right_from_left_across(&self) -> Matrix2<f64> {
+        self.right_from_left.rotation.to_rotation_matrix().matrix().fixed_view::<2, 2>(0, 0).into_owned()
     }
 
     /// The stereo geometry, worked out once. Hot code keeps it; the methods below make it anew at every call.

@@ -111,7 +111,7 @@ impl Calibration {
         if !self.is_told() && !self.is_off {
             return Value::Null;
         }
-        let [rows_px, rim_px, along_px] = self.means.map(|mean| mean.px);
+        let [rows_px, rim_px, along_px] = self.means.map(|mean| self.is_told().then_some(mean.px));
         json!({
             "rows_px": rows_px,
             "rim_px": rim_px,
@@ -176,7 +176,8 @@ mod tests {
         assert!((1..PAIRS).all(|_| calibration.pair(&apart).is_none()) && calibration.json().is_null());
         let words = calibration.pair(&apart).unwrap();
         assert!(words.contains("do not stand as they were calibrated; calibrate again"), "{words}");
-        assert_eq!(calibration.json()["are_ends_apart"], true);
+        let told = calibration.json();
+        assert!(told["are_ends_apart"] == true && told["rows_px"].is_null(), "{told}");
         assert!((0..2 * PAIRS).all(|_| calibration.pair(&turned(0.0, 0.0, 0.05)).is_none()));
         assert_eq!((calibration.text(), &calibration.json()["is_off"]), (None, &Value::Bool(false)));
     }

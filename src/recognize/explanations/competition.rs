@@ -83,8 +83,7 @@ impl Explanations {
         }
         for k in 0..self.standing.len() {
             let index = self.standing[k];
-            self.list[index].is_proven &=
-                !self.have_kin[self.list[index].hypothesis.part] || !self.may_be_kin(index, parts);
+            self.list[index].is_proven &= !self.may_be_kin(index, parts);
         }
         self.drop_dim();
         in_time
@@ -263,14 +262,7 @@ impl Explanations {
         may_stand: impl Fn(&Explanation, Worth) -> bool,
     ) {
         self.claims.iter_mut().for_each(ClaimMap::clear);
-        if self.have_kin.contains(&true) {
-            let usual = self.usual_width();
-            for explanation in &mut self.list[..self.count] {
-                let width =
-                    explanation.verdict.width_ratio.filter(|_| self.have_kin[explanation.hypothesis.part]);
-                explanation.kin_mm = width.map_or(0.0, |width| params.width_mm * (width / usual).ln().abs());
-            }
-        }
+        self.weigh_kin();
         for explanation in &mut self.list[..self.count] {
             explanation.alone = explanation.worth(parts, params, &self.claims);
             (explanation.is_dropped, explanation.is_left_out) = (false, false);

@@ -1,4 +1,4 @@
-//! Parts of about the same shape, but of thicker or thinner wire: their poses are the same, and nothing but the width that their
+//! Parts of about the same shape, of thicker and of thinner wire: their poses are the same, and nothing but the width that their
 //! wire is seen with tells them apart.
 //!
 //! Light makes all wire of a bin wider or narrower alike. So the usual width is that at which most explanations agree, and
@@ -11,9 +11,11 @@ use crate::matching::select;
 use crate::pose::model::FreeEnd;
 use crate::recognize::prepared::Prepared;
 
-/// Parts are alike whose lengths differ by less than this share, and unlike in thickness where that differs by more.
-const LENGTH_SHARE: f64 = 0.1;
-const THICKNESS_SHARE: f64 = 0.05;
+/// Parts have about the same shape where no distance between nodes or bends differs by more than this share of their length.
+const SHAPE_SHARE: f64 = 0.1;
+/// What wire costs that is seen e times as wide or as narrow as usual, in mm. Within a bin the widths of one light are within
+/// some 5 %.
+const WIDTH_MM: f64 = 30.0;
 /// Widths whose quotient has a logarithm below this agree somewhat; and how much less the usual width is worth, as a share of
 /// all explanations, that is e times another than as a rule.
 const AGREE: f64 = 0.12;
@@ -26,14 +28,14 @@ const TELL_APART_MM: f64 = 2.0;
 const SAME_PLACE_MM: f64 = 4.0;
 
 impl Prepared {
-    /// Whether nothing but the thickness of its wire tells another part from this one.
-    pub(super) fn is_kin(&self, other: &Self) -> bool {
+    /// Whether another part has about the same shape as this one, and may be of other wire.
+    fn is_kin(&self, other: &Self) -> bool {
         let [a, b] = [self, other].map(|p| &p.pose_model);
-        let differs = |a: f64, b: f64, share: f64| (a - b).abs() > share * a.max(b);
-        !differs(a.length_mm, b.length_mm, LENGTH_SHARE)
-            && differs(a.radius_mm, b.radius_mm, THICKNESS_SHARE)
-            && a.straight_along.is_some() == b.straight_along.is_some()
-            && a.ends.len() == b.ends.len()
+        let off_mm = SHAPE_SHARE * a.length_mm.max(b.length_mm);
+        !std::ptr::eq(self, other)
+            && (a.length_mm - b.length_mm).abs() <= off_mm
+            && self.distances_mm.len() == other.distances_mm.len()
+            && self.distances_mm.iter().zip(&other.distances_mm).all(|(a, b)| (a - b).abs() <= off_mm)
     }
 
     /// Whether another part need not explain wire again that this one has for certain.
@@ -48,8 +50,20 @@ pub(super) fn have_kin(parts: &[Prepared]) -> Vec<bool> {
 }
 
 impl Explanations {
+    /// Finds what speaks against the thickness of the wire of parts that have kin.
+    pub(super) fn weigh_kin(&mut self) {
+        if !self.have_kin.contains(&true) {
+            return;
+        }
+        let usual = self.usual_width();
+        for e in &mut self.list[..self.count] {
+            let width = e.verdict.width_ratio.filter(|_| self.have_kin[e.hypothesis.part]);
+            e.kin_mm = width.map_or(0.0, |width| WIDTH_MM * (width / usual).ln().abs());
+        }
+    }
+
     /// How wide the wire of this pair is seen, over how wide it is as a rule.
-    pub(super) fn usual_width(&self) -> f64 {
+    fn usual_width(&self) -> f64 {
         let is_known = |e: &&Explanation| select::is_sound(&e.fit, &e.verdict, e.overrun_mm);
         let widths = || self.all().iter().filter(is_known).filter_map(|e| e.verdict.width_ratio);
         let agreement = |usual_ln: f64| {
@@ -70,14 +84,15 @@ impl Explanations {
     /// Whether one that stands could as well be a part of thicker or thinner wire.
     pub(super) fn may_be_kin(&self, index: usize, parts: &[Prepared]) -> bool {
         let standing = &self.list[index];
-        let prepared = &parts[standing.hypothesis.part];
-        let pose = &standing.fit.left_from_part;
-        self.all().iter().any(|e| {
-            let other = &parts[e.hypothesis.part];
-            prepared.is_kin(other)
-                && e.alone.now_mm > standing.alone.now_mm - TELL_APART_MM
-                && ends_apart_mm([prepared, other], [pose, &e.fit.left_from_part]) < SAME_PLACE_MM
-        })
+        let part = standing.hypothesis.part;
+        let (prepared, pose) = (&parts[part], &standing.fit.left_from_part);
+        self.have_kin[part]
+            && self.all().iter().any(|e| {
+                let other = &parts[e.hypothesis.part];
+                prepared.is_kin(other)
+                    && e.alone.now_mm > standing.alone.now_mm - TELL_APART_MM
+                    && ends_apart_mm([prepared, other], [pose, &e.fit.left_from_part]) < SAME_PLACE_MM
+            })
     }
 }
 
@@ -134,17 +149,19 @@ mod tests {
 
     #[test]
     fn rods_that_differ_in_thickness_alone_are_told_apart_whatever_the_order_of_their_files() {
-        let lying = [3.0, 4.0, 3.0, 5.0];
+        let lying = [3.0, 3.6, 3.0, 5.0];
         let expected = lying.map(|thickness_mm| (thickness_mm, true));
-        for files in [[3.0, 4.0, 5.0], [5.0, 4.0, 3.0], [4.0, 3.0, 5.0]] {
+        for files in [[3.0, 3.6, 5.0], [5.0, 3.6, 3.0], [3.6, 3.0, 5.0]] {
             assert_eq!(recognised(&lying, &files), expected, "{files:?}");
         }
     }
 
     #[test]
     fn what_may_as_well_be_another_part_is_not_proven() {
-        let found = recognised(&[3.0, 3.0], &[3.0, 3.2]);
-        assert!(found.len() == 2 && found.iter().all(|(_, proven)| !proven), "{found:?}");
+        for other_mm in [3.0, 3.05, 3.2] {
+            let found = recognised(&[3.0, 3.0], &[3.0, other_mm]);
+            assert!(found.len() == 2 && found.iter().all(|(_, proven)| !proven), "{found:?}");
+        }
         assert_eq!(recognised(&[3.0, 3.0], &[3.0]), [(3.0, true); 2]);
     }
 }
