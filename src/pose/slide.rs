@@ -21,8 +21,9 @@
 //! let along = truth.rotation * model.straight_along.unwrap();
 //! let mut slid = truth;
 //! slid.translation.vector += along * 9.0;
-//! let back = to_middle(&refine, &model, &slid, &drawn.views());
+//! let back = to_middle(&refine, &model, &slid, &drawn.views()).unwrap();
 //! assert!((back.translation.vector - truth.translation.vector).norm() < 1.5);
+//! assert_eq!(to_middle(&refine, &model, &back, &drawn.views()), None);
 //! # Ok::<(), pickcell::part::PartError>(())
 //! ```
 
@@ -35,44 +36,41 @@ use super::verify::{Sight, sight_of};
 
 /// How far a part may be displaced, in thicknesses, each way.
 const REACH_THICKNESSES: f64 = 5.0;
-/// Places that are looked at for each thickness of wire.
+/// Places that are looked at for each thickness of wire, fewer on wire longer than [`PLACES_MAX`] leaves room for.
 const PLACES_A_THICKNESS: f64 = 2.0;
-/// Most places.
-const PLACES_MAX: usize = 512;
-/// Places of the part that are as good as the best, to this many places of wire with both outlines.
-const AS_GOOD: f64 = 0.5;
+/// Most places on the part and on each side of it.
+const PLACES_MAX: [usize; 2] = [512, (REACH_THICKNESSES * PLACES_A_THICKNESS) as usize];
+/// Places of the part that are as good as the best, to this much of one picture's place of wire with both outlines.
+const AS_GOOD: f64 = 0.25;
 
-/// What it says for a part that a place lies on it rather than beyond it, over what a place with both outlines is worth that
-/// it explains.
+/// What it says for a part that a place lies on it rather than beyond it. Of 77 parts in rendered heaps that show no end,
+/// anything near these ratios leaves half as many more than two thicknesses off as none would.
 fn gain(sight: Sight) -> f64 {
     match sight {
-        Sight::Clear => 4.0,
-        Sight::OneSide => 0.7,
+        Sight::Clear => 3.0,
+        Sight::OneSide => 2.0,
         Sight::Crossed | Sight::Outside => 0.0,
-        Sight::Missing => -3.0,
+        Sight::Missing => -5.0,
     }
 }
 
-/// The pose of a straight part, displaced along itself to the middle of the places where the wire is that both pictures show
-/// (left camera's frame).
+/// The pose of a straight part, displaced along itself to the middle of the places nearest to it where the wire is that both
+/// pictures show (left camera's frame). `None` where it lies there, and of parts that are not straight.
 pub fn to_middle(
     refine: &Refine,
     model: &PoseModel,
     pose: &Isometry3<f64>,
     views: &[View; 2],
-) -> Isometry3<f64> {
-    let Some(along) = model.straight_along else { return *pose };
-    let step_mm = 2.0 * model.radius_mm / PLACES_A_THICKNESS;
-    let reach = (REACH_THICKNESSES * PLACES_A_THICKNESS) as usize;
+) -> Option<Isometry3<f64>> {
+    let along = model.straight_along?;
+    let step_mm = (2.0 * model.radius_mm / PLACES_A_THICKNESS).max(model.length_mm / PLACES_MAX[0] as f64);
     let inside = (model.length_mm / step_mm).round() as usize;
+    let reach = PLACES_MAX[1];
     let count = inside + 2 * reach;
-    if count > PLACES_MAX {
-        return *pose;
-    }
     let (along, centre) = (pose.rotation * along, pose * model.centre_mm);
     let at = |place: f64| centre + along * ((place - (count as f64 - 1.0) / 2.0) * step_mm);
     // Sums of what all places before one say.
-    let mut sums: ArrayVec<f64, { PLACES_MAX + 1 }> = ArrayVec::new();
+    let mut sums: ArrayVec<f64, { PLACES_MAX[0] + 2 * PLACES_MAX[1] + 1 }> = ArrayVec::new();
     let mut sum = 0.0;
     sums.push(sum);
     for place in 0..count {
@@ -85,10 +83,9 @@ pub fn to_middle(
     let worth = |first: usize| sums[first + inside] - sums[first];
     let best = (0..=2 * reach).map(worth).fold(f64::NEG_INFINITY, f64::max);
     let as_good = |first: &usize| worth(*first) >= best - AS_GOOD * gain(Sight::Clear);
-    let (mut places, mut sum) = (0, 0);
-    for first in (0..=2 * reach).filter(as_good) {
-        (places, sum) = (places + 1, sum + first);
-    }
-    let displaced = f64::from(sum as u32) / f64::from(places.max(1)) - reach as f64;
-    Translation3::from(along * (displaced * step_mm)) * pose
+    let nearest = (0..=2 * reach).filter(as_good).min_by_key(|first| first.abs_diff(reach))?;
+    let first = (0..=nearest).rev().take_while(as_good).last()?;
+    let last = (nearest..=2 * reach).take_while(as_good).last()?;
+    let displaced = (first + last) as f64 / 2.0 - reach as f64;
+    (displaced != 0.0).then(|| Translation3::from(along * (displaced * step_mm)) * pose)
 }

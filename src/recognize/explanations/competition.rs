@@ -71,8 +71,12 @@ impl Explanations {
             self.claim_standing();
             in_time = false;
         }
+        let mut is_moved = false;
         for k in 0..self.standing.len() {
-            self.centre(self.standing[k], parts, views);
+            is_moved |= self.centre(self.standing[k], parts, views);
+        }
+        if is_moved {
+            self.claim_standing();
         }
         for &index in &self.standing {
             let Explanation { hypothesis, fit, verdict, light, is_proven, .. } = &mut self.list[index];
@@ -145,20 +149,24 @@ impl Explanations {
         }
     }
 
-    /// Moves a part that nothing holds along itself to the middle of where it can lie, and looks at it there.
-    fn centre(&mut self, index: usize, parts: &[Prepared], views: &[View; 2]) {
-        let Explanation { hypothesis, fit, verdict, covariance, turn, .. } = &mut self.list[index];
+    /// Moves a part that nothing holds along itself to the middle of where it can lie, and looks at it there; says whether
+    /// it has.
+    fn centre(&mut self, index: usize, parts: &[Prepared], views: &[View; 2]) -> bool {
+        let Self { list, refine, .. } = self;
+        let Explanation { hypothesis, fit, verdict, covariance, turn, .. } = &mut list[index];
         let Prepared { pose_model, stops, .. } = &parts[hypothesis.part];
-        if verdict.ends_shown > 0 || pose_model.straight_along.is_none() {
-            return;
+        if verdict.ends_shown > 0 {
+            return false;
         }
-        let middle = slide::to_middle(&self.refine, pose_model, &fit.left_from_part, views);
-        if let Some(there) = self.refine.again(pose_model, &middle, views) {
-            *fit = there;
-            verify(&self.refine, pose_model, stops, &fit.left_from_part, views, verdict);
-            let spread = self.refine.spread(pose_model, fit, views);
-            (*covariance, *turn) = (spread.covariance, spread.turn);
-        }
+        let middle = slide::to_middle(refine, pose_model, &fit.left_from_part, views);
+        let Some(there) = middle.and_then(|middle| refine.again(pose_model, &middle, views)) else {
+            return false;
+        };
+        *fit = there;
+        verify(refine, pose_model, stops, &fit.left_from_part, views, verdict);
+        let spread = refine.spread(pose_model, fit, views);
+        (*covariance, *turn) = (spread.covariance, spread.turn);
+        true
     }
 
     /// Decides which stand. What is worth most may take wire from two that together are worth more: those that leave doubt
