@@ -78,18 +78,32 @@ impl Traced {
         }
     }
 
-    /// From mask and luma to nodes.
-    fn run(&mut self, luma: Option<&Frame>, stages: &mut StageTimes) -> Result<(), graph::Refusal> {
+    /// From mask and luma to nodes; says whether there was time for all.
+    fn run(
+        &mut self,
+        luma: Option<&Frame>,
+        end: Option<Timestamp>,
+        stages: &mut StageTimes,
+    ) -> Result<bool, graph::Refusal> {
         let Self { mask, skeleton, graph, .. } = self;
         let begin = Timestamp::now();
         self.thin.run(mask, skeleton);
         let thinned = Timestamp::now();
-        self.graphs.run(skeleton, mask, luma.or(Some(&self.plane)), graph)?;
-        self.image_nodes.run(graph, mask, &self.rays)?;
-        self.half_width_px = half_width_px(graph, &mut self.widths);
+        let mut in_time = !end.is_some_and(Timestamp::is_past);
+        if in_time {
+            self.graphs.run(skeleton, mask, luma.or(Some(&self.plane)), graph)?;
+            in_time = self.image_nodes.run(graph, mask, &self.rays, end)?;
+            self.half_width_px = half_width_px(graph, &mut self.widths);
+        }
         stages.thin_ns += ns(begin, thinned);
         stages.graph_ns += ns(thinned, Timestamp::now());
-        Ok(())
+        Ok(in_time)
+    }
+
+    /// Has nothing of the last picture any more.
+    fn clear(&mut self) {
+        self.graph.clear();
+        self.image_nodes.clear();
     }
 }
 
@@ -139,17 +153,29 @@ impl Picture {
         })
     }
 
-    /// Takes a frame through all stages, in the size that its wire wants.
-    pub(crate) fn run(&mut self, frame: &Frame, side: Side, stages: &mut StageTimes) -> Result<(), Refusal> {
+    /// Takes a frame through all stages, in the size that its wire wants; says whether they were done by `end`. Between them,
+    /// and among the nodes, it is asked how late it is.
+    pub(crate) fn run(
+        &mut self,
+        frame: &Frame,
+        side: Side,
+        end: Option<Timestamp>,
+        stages: &mut StageTimes,
+    ) -> Result<bool, Refusal> {
         let Self { decoder, luma, binarize, sizes, halvings, evenness } = self;
         let (width, height) = (frame.width, frame.height);
         let [rig_width, rig_height] = [sizes[0].mask.width(), sizes[0].mask.height()];
+        sizes.iter_mut().for_each(Traced::clear);
         if (width, height) != (rig_width, rig_height) {
             return Err(Refusal::Size { side, width, height, rig_width, rig_height });
         }
         let begin = Timestamp::now();
         let raw = decoder.run(frame).map_err(|_| Refusal::Damaged { side })?;
         let decoded = Timestamp::now();
+        stages.decode_ns += ns(begin, decoded);
+        if end.is_some_and(|end| decoded >= end) {
+            return Ok(false);
+        }
         let refused = |reason| Refusal::Binarize { side, reason };
         binarize.check(raw).map_err(refused)?;
         let luma = match raw.format {
@@ -176,45 +202,47 @@ impl Picture {
             halve_luma(if *halvings == 0 { luma } else { &whole.plane }, &mut half.plane);
             *halvings += 1;
         }
-        stages.decode_ns += ns(begin, decoded);
         stages.binarize_ns += ns(decoded, Timestamp::now());
-        self.trace(self.halvings, frame, side, stages)?;
-        while self.halvings > 0 && 2.0 * self.half_width_px() < HALVED_PX_MIN {
-            self.trace(self.halvings - 1, frame, side, stages)?;
+        let mut in_time = self.trace(self.halvings, frame, side, end, stages)?;
+        while in_time && self.halvings > 0 && 2.0 * self.half_width_px() < HALVED_PX_MIN {
+            in_time = self.trace(self.halvings - 1, frame, side, end, stages)?;
         }
-        Ok(())
+        Ok(in_time)
     }
 
-    /// Thins the picture halved so many times, and reads its graph.
+    /// Thins the picture halved so many times, and reads its graph; says whether there was time.
     fn trace(
         &mut self,
         halvings: usize,
         frame: &Frame,
         side: Side,
+        end: Option<Timestamp>,
         stages: &mut StageTimes,
-    ) -> Result<(), Refusal> {
+    ) -> Result<bool, Refusal> {
         self.halvings = halvings;
         let Self { decoder, luma, sizes, .. } = self;
         let luma = (halvings == 0).then(|| luma_of(decoder, luma, frame));
-        sizes[halvings].run(luma, stages).map_err(|reason| Refusal::Graph { side, reason })
+        sizes[halvings].run(luma, end, stages).map_err(|reason| Refusal::Graph { side, reason })
     }
 
-    /// Has both pictures of a pair, which have just been run, in one size: the larger of theirs.
+    /// Has both pictures of a pair, which have just been run, in one size, the larger of theirs; says whether there was time.
     ///
     /// # Errors
     /// Where there is too much for a graph in that size.
     pub(crate) fn agree(
         pictures: &mut [Picture; 2],
         frames: [&Frame; 2],
+        end: Option<Timestamp>,
         stages: &mut StageTimes,
-    ) -> Result<(), Refusal> {
+    ) -> Result<bool, Refusal> {
         let halvings = pictures[0].halvings.min(pictures[1].halvings);
+        let mut in_time = true;
         for ((picture, frame), side) in pictures.iter_mut().zip(frames).zip([Side::Left, Side::Right]) {
             if picture.halvings > halvings {
-                picture.trace(halvings, frame, side, stages)?;
+                in_time &= picture.trace(halvings, frame, side, end, stages)?;
             }
         }
-        Ok(())
+        Ok(in_time)
     }
 
     /// Half the width of its wire, in pixels of the size that was looked at; at most 40.

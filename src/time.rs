@@ -145,6 +145,11 @@ pub struct Spent {
     pub late: bool,
 }
 
+impl Spent {
+    /// Of a recognition whose time was over before both pictures' graphs were there.
+    pub const ON_PICTURES: Self = Self { iterations: 0, looks: Some(0), exchanges: Some(0), late: true };
+}
+
 impl Budget {
     /// How often a clock budget really reads the clock: once in so many iterations.
     const CLOCK_STRIDE: u64 = 64;
@@ -161,6 +166,11 @@ impl Budget {
     /// Whether its moment has come; a count of iterations has none.
     pub fn is_over(&self) -> bool {
         matches!(*self, Budget::Until(end) if end.is_past())
+    }
+
+    /// The moment at which it is over; `None` where that is no moment.
+    pub fn end(&self) -> Option<Timestamp> {
+        if let Budget::Until(end) = *self { Some(end) } else { None }
     }
 
     /// Whether its moment has come, or had when the recognition was made first.

@@ -23,13 +23,13 @@
 //!
 //! let rays = UndistortTable::new(&CameraModel::pinhole(160, 120, 150.0, 80.0, 60.0), 0.005);
 //! let mut nodes = ImageNodes::new(Params::default());
-//! nodes.run(&graph, &mask, &rays)?;
+//! assert!(nodes.run(&graph, &mask, &rays, None)?);
 //! let [a, b, bend] = nodes.nodes() else { panic!("two ends and a bend") };
 //! assert_eq!([a.role, b.role, bend.role], [NodeRole::End, NodeRole::End, NodeRole::Bend]);
 //! assert!((bend.position_px - Vector2::new(118.0, 30.0)).norm() < 1.5 && bend.legs().len() == 2);
 //!
 //! let mut few = ImageNodes::new(Params { nodes_max: 2, ..Params::default() });
-//! let refusal = few.run(&graph, &mask, &rays).unwrap_err().to_string();
+//! let refusal = few.run(&graph, &mask, &rays, None).unwrap_err().to_string();
 //! assert!(refusal.starts_with("the picture has more than 2 end points, junctions and bends"));
 //! # Ok::<(), graph::Refusal>(())
 //! ```
@@ -38,6 +38,7 @@ use nalgebra::Vector2;
 
 use crate::pose::section::mask_run;
 use crate::rig::{CameraModel, UndistortTable};
+use crate::time::Timestamp;
 use crate::vision::bits::BitImage;
 use crate::vision::graph::{Graph, NONE, NodeKind, Refusal};
 
@@ -112,6 +113,9 @@ impl ImageNode {
     }
 }
 
+/// Once in so many edges it is asked how late it is.
+const CLOCK_STRIDE: usize = 8;
+
 /// How bends are found.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Params {
@@ -148,12 +152,24 @@ impl ImageNodes {
         &self.nodes
     }
 
-    /// Lists the nodes of `graph`, bends last; `rays` of the camera that it was seen with.
+    /// Has no nodes any more.
+    pub fn clear(&mut self) {
+        self.nodes.clear();
+    }
+
+    /// Lists the nodes of `graph`, bends last; `rays` of the camera that it was seen with. Is broken off at `end`; says
+    /// whether it was not.
     ///
     /// # Errors
     /// Where there are more than `nodes_max`, bends too.
-    pub fn run(&mut self, graph: &Graph, mask: &BitImage, rays: &UndistortTable) -> Result<(), Refusal> {
-        self.nodes.clear();
+    pub fn run(
+        &mut self,
+        graph: &Graph,
+        mask: &BitImage,
+        rays: &UndistortTable,
+        end: Option<Timestamp>,
+    ) -> Result<bool, Refusal> {
+        self.clear();
         let too_many = Refusal::TooManyImageNodes { nodes_max: self.params.nodes_max as u32 };
         if graph.nodes.len() > self.params.nodes_max {
             return Err(too_many);
@@ -173,7 +189,10 @@ impl ImageNodes {
                 leg_count: 0,
             });
         }
-        for edge in &graph.edges {
+        for (e, edge) in graph.edges.iter().enumerate() {
+            if e.is_multiple_of(CLOCK_STRIDE) && end.is_some_and(Timestamp::is_past) {
+                return Ok(false);
+            }
             let chain = &graph.points[edge.points.start as usize..edge.points.end as usize];
             let reach = self.reach_px(edge.half_thickness_px as f64);
             if chain.len() < 4 {
@@ -185,7 +204,7 @@ impl ImageNodes {
             }
             self.add_chain(edge.nodes, chain, reach, edge.half_thickness_px as f64, mask, rays);
         }
-        Ok(())
+        Ok(true)
     }
 
     fn reach_px(&self, half_thickness_px: f64) -> f64 {

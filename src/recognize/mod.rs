@@ -56,7 +56,7 @@ use crate::picture::{Picture, halvings};
 use crate::pose::gloss::Gloss;
 use crate::pose::section::HALF_WAY;
 use crate::rig::Rig;
-use crate::time::{Budget, Timestamp, Watch};
+use crate::time::{Budget, Spent, Timestamp, Watch};
 use crate::vision::binarize;
 use crate::vision::ridge::{self, Ridges};
 
@@ -196,7 +196,12 @@ impl Recognizer {
         out.parts.clear();
         *out = Recognition { parts: std::mem::take(&mut out.parts), seed, ..Recognition::default() };
         let mut stages = StageTimes::default();
-        self.look(pair, &mut stages)?;
+        if budget == Budget::Repeated(Spent::ON_PICTURES) || !self.look(pair, budget.end(), &mut stages)? {
+            (out.out_of_time, out.no_pick, out.spent) = (true, Some(NoPick::OutOfTime), Spent::ON_PICTURES);
+            stages.total_ns = Timestamp::now().since(begin).max(0) as u64;
+            out.stages = stages;
+            return Ok(());
+        }
         let looked_at = Timestamp::now();
         let told_by_ends = self.turn_told_by_ends()?;
         stages.match_ns = Timestamp::now().since(looked_at).max(0) as u64;
@@ -250,30 +255,29 @@ impl Recognizer {
         in_time
     }
 
-    /// Takes both pictures through their stages.
-    fn look(&mut self, pair: &FramePair, stages: &mut StageTimes) -> Result<(), Refusal> {
+    /// Takes both pictures through their stages; says whether there was time.
+    fn look(
+        &mut self,
+        pair: &FramePair,
+        end: Option<Timestamp>,
+        stages: &mut StageTimes,
+    ) -> Result<bool, Refusal> {
         let [left, right] = &mut self.pictures;
         let mut of_right = StageTimes::default();
-        let mut look_right = || right.run(&pair.right, Side::Right, &mut of_right);
-        let mut look_left = || left.run(&pair.left, Side::Left, stages);
-        match &mut self.second {
-            Some(second) => {
-                let (left, right) = second.both(look_left, look_right);
-                stages.with(&of_right, u64::max);
-                left.and(right)?;
-            }
-            None => {
-                look_left()?;
-                look_right()?;
-                stages.with(&of_right, |left, right| left + right);
-            }
-        }
-        Picture::agree(&mut self.pictures, [&pair.left, &pair.right], stages)?;
+        let is_shared = self.second.is_some();
+        let (left, right) = both(
+            &mut self.second,
+            || left.run(&pair.left, Side::Left, end, stages),
+            || right.run(&pair.right, Side::Right, end, &mut of_right),
+        );
+        stages.with(&of_right, if is_shared { u64::max } else { |left, right| left + right });
+        let in_time =
+            left? & right? && Picture::agree(&mut self.pictures, [&pair.left, &pair.right], end, stages)?;
         let is_empty = self.pictures.iter().any(|picture| picture.graph().edges.is_empty());
-        if !is_empty && pair.left.bytes == pair.right.bytes {
+        if in_time && !is_empty && pair.left.bytes == pair.right.bytes {
             return Err(Refusal::Same);
         }
-        Ok(())
+        Ok(in_time)
     }
 
     /// Fills the pool with rough poses of all parts, fittest first: those of matches, and those that single nodes hold
@@ -479,15 +483,14 @@ fn rig_of<'a>(scales: &'a [Scale], pictures: &[Picture; 2]) -> &'a Rig {
 }
 
 /// Does both halves of a job, the second one in another thread where there is one.
-fn both(second: &mut Option<hands::Owner>, left: impl FnOnce(), right: impl FnOnce() + Send) {
+fn both<L, R: Send>(
+    second: &mut Option<hands::Owner>,
+    left: impl FnOnce() -> L,
+    right: impl FnOnce() -> R + Send,
+) -> (L, R) {
     match second {
-        Some(second) => {
-            second.both(left, right);
-        }
-        None => {
-            left();
-            right();
-        }
+        Some(second) => second.both(left, right),
+        None => (left(), right()),
     }
 }
 

@@ -64,6 +64,22 @@ fn run(recognizer: &mut Recognizer, frames: &FramePair) -> Recognition {
 }
 
 #[test]
+fn pictures_are_left_where_time_is_over_and_left_again() {
+    let (session, rig) = conveyor();
+    let frames = frames(&session, 0, [0; 2]);
+    let mut recognizer = recognizer(rig);
+    assert!(!run(&mut recognizer, &frames).parts.is_empty());
+    for budget in [Budget::Until(Timestamp::now()), Budget::Repeated(Spent::ON_PICTURES)] {
+        let mut found = Recognition::default();
+        recognizer.run(&frames, budget, 1, &mut found).unwrap();
+        assert!(found.parts.is_empty() && found.out_of_time, "{budget:?}");
+        assert_eq!((found.no_pick, found.spent), (Some(NoPick::OutOfTime), Spent::ON_PICTURES), "{budget:?}");
+    }
+    // Nor is there anything of the pair before.
+    assert!(recognizer.pictures().iter().all(|p| p.graph().nodes.is_empty() && p.nodes().is_empty()));
+}
+
+#[test]
 fn thick_wire_is_recognised_in_half_the_size_as_in_a_picture_of_that_size() {
     let (session, rig) = conveyor();
     let mut small = recognizer(rig);

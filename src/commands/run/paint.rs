@@ -127,9 +127,9 @@ impl Painter {
         let mut stages = StageTimes::default();
         for (picture, frame, side) in [(0, &file.pair.left, Side::Left), (1, &file.pair.right, Side::Right)] {
             // Refused before by the recogniser; what was made up to there is drawn.
-            let _ = self.pictures[picture].run(frame, side, &mut stages);
+            let _ = self.pictures[picture].run(frame, side, None, &mut stages);
         }
-        let _ = Picture::agree(&mut self.pictures, [&file.pair.left, &file.pair.right], &mut stages);
+        let _ = Picture::agree(&mut self.pictures, [&file.pair.left, &file.pair.right], None, &mut stages);
         let overlay = Overlay {
             frames: [left, right],
             graphs: self.pictures.each_ref().map(|picture| (picture.graph(), picture.halvings())),

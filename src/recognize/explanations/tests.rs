@@ -163,7 +163,8 @@ fn a_rod_with_both_ends_on_others_lies_in_the_middle_of_where_it_can() {
         let model = &parts[0].pose_model;
         let found = slide::to_middle(&explanations.refine, model, &pose, &views);
         let place_mm = (found.unwrap_or(pose).translation.vector - at(0.0, 0.0).coords).dot(&along);
-        assert!(place_mm.abs() < 0.8, "{displaced_mm}: {place_mm}");
+        // To a place that is looked at: half a thickness.
+        assert!(place_mm.abs() < 1.1, "{displaced_mm}: {place_mm}");
     }
 }
 
