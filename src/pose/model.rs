@@ -12,6 +12,8 @@ const DENSE_THICKNESSES_MAX: f64 = 128.0;
 
 /// From this angle in radians on, over a thickness, a wire bends.
 const BEND_RAD: f64 = 0.09;
+/// A straight piece strays from the line between its ends by less than this share of its length, times eight.
+const STRETCH_RAD_MAX: f64 = 0.15;
 
 /// A point of the centreline at which the wire's place in the pictures is measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -131,15 +133,24 @@ impl PoseModel {
     }
 }
 
-/// Tells straight pieces of wire apart; the stations lie so many thicknesses from each other.
-fn find_stretches(stations: &mut [Station], step_thicknesses: f64) {
-    let straight_cos = (BEND_RAD * step_thicknesses).cos();
-    let goes_on = |a: &Station, b: &Station| a.edge == b.edge && a.tangent.dot(&b.tangent) > straight_cos;
-    for (stretch, stations) in stations.chunk_by_mut(goes_on).enumerate() {
-        let count = stations.len() as f64;
-        for (k, station) in stations.iter_mut().enumerate() {
-            (station.stretch, station.share) = (stretch, (k as f64 + 0.5) / count - 0.5);
+/// Tells straight pieces of wire apart; the stations lie so many thicknesses from each other. Wire that bends little from one
+/// to the next is no longer straight where it has turned by [`STRETCH_RAD_MAX`] in all.
+fn find_stretches(mut stations: &mut [Station], step_thicknesses: f64) {
+    let (straight_cos, stretch_cos) = ((BEND_RAD * step_thicknesses).cos(), STRETCH_RAD_MAX.cos());
+    let mut stretch = 0;
+    while let [first, ..] = stations {
+        let first = *first;
+        let goes_on = |two: &[Station]| {
+            first.edge == two[1].edge
+                && two[0].tangent.dot(&two[1].tangent) > straight_cos
+                && first.tangent.dot(&two[1].tangent) > stretch_cos
+        };
+        let count = 1 + stations.windows(2).take_while(|two| goes_on(two)).count();
+        let (piece, rest) = stations.split_at_mut(count);
+        for (k, station) in piece.iter_mut().enumerate() {
+            (station.stretch, station.share) = (stretch, (k as f64 + 0.5) / count as f64 - 0.5);
         }
+        (stretch, stations) = (stretch + 1, rest);
     }
 }
 
@@ -189,4 +200,37 @@ fn free_ends(part: &Part, step_mm: f64) -> Vec<FreeEnd> {
         }
     }
     ends
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn straight_pieces_are_wire_even_of_a_soft_bend() {
+        // A quarter of a ring of 60 mm, in chords that a bend radius rounds off.
+        let (radius_mm, chords) = (60.0, 24);
+        let on_ring = |k: i32| {
+            let (sin, cos) = (std::f64::consts::FRAC_PI_2 * f64::from(k) / f64::from(chords)).sin_cos();
+            format!("[{:.4}, {:.4}, 0.0]", radius_mm * cos, radius_mm * sin)
+        };
+        let via: Vec<String> = (1..chords).map(on_ring).collect();
+        let text = format!(
+            "name = 'arc'\nthickness_mm = 3.0\nbend_radius_mm = 58.0\n\
+             node = [{{ name = 'a', position_mm = {} }}, {{ name = 'b', position_mm = {} }}]\n\
+             edge = [{{ from = 'a', to = 'b', via = [{}] }}]\n\
+             grasp = {{ position_mm = {}, approach = [0, 0, -1], closing = [1, 0, 0], width_mm = 8.0 }}\n",
+            on_ring(0),
+            on_ring(chords),
+            via.join(", "),
+            on_ring(chords / 2),
+        );
+        let model = PoseModel::new(&Part::parse(&text, "arc.toml").unwrap());
+        assert!(model.straight_mm.len() > 3);
+        for [a, b] in &model.straight_mm {
+            let middle = nalgebra::center(a, b);
+            let off_mm = (middle.coords.norm() - radius_mm).abs();
+            assert!(off_mm < 0.2 * model.radius_mm, "{off_mm} mm off the wire");
+        }
+    }
 }
