@@ -38,6 +38,7 @@ use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 
 use super::model::PoseModel;
 use super::refine::{EndSighting, Refine, Sighting, View};
+use super::width::is_one_wire;
 use crate::matching::fitness::Terms;
 
 /// What one picture shows of one piece of the part.
@@ -244,7 +245,7 @@ pub(super) fn sight_of(sighting: &Sighting) -> (Sight, Option<f64>) {
     let section = sighting.section.unwrap_or_default();
     let both = section.middle_and_width();
     if let Some((middle, width)) = both
-        && (0.5..1.25).contains(&(width / (2.0 * half)))
+        && is_one_wire(width, 2.0 * half, [0.5, 1.25])
         && middle.abs() < near
     {
         return (Sight::Clear, Some(middle));
@@ -291,7 +292,7 @@ fn look_onward(
             let Some(sighting) = refine.look_beyond(model.radius_mm, &at, &onward, view) else { continue };
             let is_clean =
                 sighting.section.and_then(|s| s.middle_and_width()).is_some_and(|(middle, width)| {
-                    (0.6..1.2).contains(&(width / (2.0 * sighting.half_width_px)))
+                    is_one_wire(width, 2.0 * sighting.half_width_px, [0.6, 1.2])
                         && middle.abs() < 0.35 * sighting.half_width_px + 0.3
                 });
             if is_clean {

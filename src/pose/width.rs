@@ -3,13 +3,22 @@
 //! A wire is as wide at one place as at the next, but for what the light does to its outlines. Where it is wider or
 //! narrower, a neighbour touches or hides one of its sides.
 
-use std::ops::Range;
-
 use super::section::Section;
 
 /// Seen width of one wire over that of its silhouette: less than this, and a neighbour hides a part of it; more, and
 /// one touches it.
-pub const ONE_WIRE: Range<f64> = 0.5..1.2;
+pub(super) const ONE_WIRE: [f64; 2] = [0.5, 1.2];
+/// How wide wire is seen at most whose silhouette is but a pixel or two wide: so many pixels, and so many times its silhouette. Half
+/// way up, what a lens and a pixel blur by 0.6 to 0.8 pixels (standard deviation) is no narrower.
+const BLURRED_PX: [f64; 2] = [1.2, 0.76];
+
+/// Whether what is seen so wide may be one wire with a silhouette of this width, in pixels; `narrowest` and `widest` are shares of
+/// that where it is not thin.
+pub(super) fn is_one_wire(width_px: f64, silhouette_px: f64, [narrowest, widest]: [f64; 2]) -> bool {
+    let [blur_px, share] = BLURRED_PX;
+    let most_px = (widest * silhouette_px).max(blur_px + share * silhouette_px);
+    (narrowest * silhouette_px..most_px).contains(&width_px)
+}
 
 /// Standard deviation of a normal distribution over the median of the distances from its middle.
 const SIGMA_OVER_MEDIAN: f64 = 1.4826;
@@ -75,7 +84,7 @@ impl Section {
     /// Seen width over that of the silhouette, where it may be one wire.
     pub fn ratio(&self, half_width_px: f64) -> Option<f64> {
         let (_, width) = self.middle_and_width()?;
-        Some(width / (2.0 * half_width_px)).filter(|ratio| ONE_WIRE.contains(ratio))
+        is_one_wire(width, 2.0 * half_width_px, ONE_WIRE).then_some(width / (2.0 * half_width_px))
     }
 }
 
@@ -97,6 +106,15 @@ mod tests {
         // 0.6 pixels wider on one side: the middle is 0.3 off.
         let (middle, sigma) = usual.middle_of(&section(-2.7, 3.3), 3.0, 1.5, 0.15).unwrap();
         assert!((middle - 0.3).abs() < 1e-9 && sigma > 0.2, "{middle} {sigma}");
+    }
+
+    #[test]
+    fn wire_of_a_pixel_or_two_is_seen_wider_than_it_is() {
+        let seen = |width_px: f64, silhouette_px: f64| {
+            section(-width_px / 2.0, width_px / 2.0).ratio(silhouette_px / 2.0).is_some()
+        };
+        assert!(seen(2.0, 1.2) && seen(2.3, 1.6) && !seen(3.0, 1.6));
+        assert!(seen(4.7, 4.0) && !seen(4.9, 4.0) && !seen(1.9, 4.0));
     }
 
     #[test]

@@ -8,7 +8,7 @@ use crate::pose::end::EndLook;
 use crate::pose::model::PoseModel;
 use crate::pose::outlines::{LINES, Outlines};
 use crate::pose::section::{Profiler, Section};
-use crate::pose::width::ONE_WIRE;
+use crate::pose::width::{ONE_WIRE, is_one_wire};
 use crate::vision::bits::{BitImage, nearest};
 
 /// Where the width is looked at before an end, in half widths; the last one not of a dark wire, which its shadow
@@ -56,8 +56,8 @@ impl EndSighting {
     /// Whether what is seen across it is as wide as one wire.
     fn is_one_wire(&self, section: &Option<Section>) -> bool {
         section.and_then(|s| s.middle_and_width()).is_some_and(|(middle, width)| {
-            let ratio = width / (2.0 * self.half_width_px);
-            ONE_WIRE.contains(&ratio) && middle.abs() < 0.5 * self.half_width_px + 1.0
+            is_one_wire(width, 2.0 * self.half_width_px, ONE_WIRE)
+                && middle.abs() < 0.5 * self.half_width_px + 1.0
         })
     }
 
