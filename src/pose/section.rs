@@ -14,6 +14,8 @@ use crate::vision::bits::{BitImage, nearest};
 pub(super) const SAMPLES_MAX: usize = 96;
 /// Steps from one outline to the other in which the light between them is added up.
 const SKEW_STEPS: usize = 12;
+/// Where beyond the outlines of a dark wire its shadow is looked for, in pixels.
+const BESIDE_PX: [f64; 4] = [1.0, 1.5, 2.0, 2.5];
 /// How far beside a crossing the light of a wire is looked at, in pixels.
 pub(super) const DIP_BESIDE_PX: usize = 5;
 /// Half the way from the background to the brightest of the wire, where the outline of a dull wire is.
@@ -42,7 +44,8 @@ impl Section {
 pub struct LightAcross {
     /// How much lighter (dark parts: darker) it is in the mean than at the borders, in grey levels.
     pub above: f64,
-    /// How far it lies beside the middle, in half widths of the wire; nought where the lamp is above it.
+    /// How far it lies beside the middle, in half widths of the wire; nought where the lamp is above it. Of dark parts, how much
+    /// darker it is just beyond the outline there than on the other side, over `above`: the shadow.
     pub skew: f64,
 }
 
@@ -169,10 +172,26 @@ impl<'a> Profiler<'a> {
             sum += above;
             moment += above * share;
         }
-        (sum > 0.0).then(|| LightAcross {
-            above: sum / (SKEW_STEPS - 1) as f64,
-            skew: moment / sum * width / (2.0 * half_width_px),
-        })
+        if sum <= 0.0 {
+            return None;
+        }
+        let above = sum / (SKEW_STEPS - 1) as f64;
+        let skew = if self.dark_parts() {
+            ((self.beside(middle, reach, across) - self.beside(middle, -reach, -across)) / above)
+                .clamp(-1.0, 1.0)
+        } else {
+            moment / sum * width / (2.0 * half_width_px)
+        };
+        Some(LightAcross { above, skew })
+    }
+
+    /// How dark it is in the mean just beyond an outline, so far from the middle of a dark wire, outwards.
+    fn beside(&self, middle: Vector2<f64>, reach: Vector2<f64>, outwards: Vector2<f64>) -> f64 {
+        let dark = |beyond_px: f64| {
+            let at = middle + reach + outwards * beyond_px;
+            self.sign * f64::from(self.luma.sample(at.x as f32, at.y as f32))
+        };
+        BESIDE_PX.iter().map(|px| dark(*px)).sum::<f64>() / BESIDE_PX.len() as f64
     }
 
     /// By how many grey levels the light along a wire, the unit vector `along`, falls within `near_px` of a place, below
@@ -323,6 +342,17 @@ mod tests {
         let profiler = Profiler::new(LumaView::new(frame).unwrap(), true, 12.0);
         let at = Vector2::new(19.5, 20.0);
         profiler.across(at, Vector2::new(1.0, 0.0), 3.0, 1.5).unwrap().middle_and_width().unwrap().0
+    }
+
+    #[test]
+    fn the_shadow_of_dark_wire_tells_on_which_side_the_lamp_is() {
+        let skew = |frame: &Frame, across: Vector2<f64>| {
+            let profiler = Profiler::new(LumaView::new(frame).unwrap(), true, 12.0);
+            profiler.light(Vector2::new(19.5, 20.0), across, 3.0, (0.0, 6.0)).unwrap().skew
+        };
+        assert!(skew(&dark_wire(&[]), Vector2::x()).abs() < 1e-6);
+        let shaded = dark_wire(&[170, 180, 190]);
+        assert!(skew(&shaded, Vector2::x()) > 0.1 && skew(&shaded, -Vector2::x()) < -0.1);
     }
 
     #[test]

@@ -7,7 +7,8 @@ pub struct Shading {
     pub across: f64,
     /// A lamp at one side moves both borders of the lit region that way, so much for each radius that the light between
     /// them lies beside their middle: 1 to 2 on a matte cylinder, the more the sharper the picture is and the less
-    /// light comes from elsewhere.
+    /// light comes from elsewhere. Of dark parts, whose shadow moves one of them, for each time that the shadow is as dark over the
+    /// floor as the wire.
     pub across_per_skew: f64,
     /// Height above the axis of the line that is seen, between lamps: the whole part seems displaced along the line of
     /// sight.

@@ -14,19 +14,25 @@ use crate::pose::shading::Shading;
 use crate::rig::Rig;
 use crate::vision::graph::Graph;
 
-/// Refinement as the light wants it: dark parts on a light floor are seen whole, so that the middle
-/// between their outlines is their axis, and the outline of an end is the rim of its silhouette, 0.93 radii from the axis
-/// in the mean over the width that is looked at.
+/// Height of the line that is seen of a dark part above its axis, in radii: below it, for each camera sees more of the shadow on
+/// its own side of the wire, down on the floor. From -0.2 to -0.5 on rendered floors, the less light comes from all sides.
+const DARK_LIFT_RADII: f64 = -0.33;
+/// At which level outlines of dark parts are taken, in 1/256 of the way from the floor's light to theirs: nearer to theirs than
+/// half way, for shadows lie between.
+const DARK_OUTLINE_256: u8 = 144;
+
+/// Refinement as the light wants it: dark parts on a light floor are seen whole, and the outline of an end is the rim of its
+/// silhouette, 0.93 radii from the axis in the mean over the width that is looked at.
 pub(super) fn lit(params: &Params) -> refine::Params {
     if params.binarize.iter().any(|b| b.inverted) {
         refine::Params {
-            lift_radii: 0.0,
+            lift_radii: DARK_LIFT_RADII,
             end_lift_radii: [0.93, -0.93],
             faces_like_wire: true,
             outline_ratio: 1.0,
             shading: Shading {
-                across: 0.04,
-                across_per_skew: 0.0,
+                across: 0.1,
+                across_per_skew: 0.25,
                 lift: 0.2,
                 end: 0.08,
                 ..Shading::default()
@@ -42,7 +48,7 @@ pub(super) fn lit(params: &Params) -> refine::Params {
 const DEPTHS_MAX: usize = 256;
 
 /// At which level outlines are taken, where these nodes may lie: see [`Gloss`]. The same in both pictures, for the same
-/// outlines are to be compared; half way of dark parts, for a lower level would take shadows for wire.
+/// outlines are to be compared.
 pub(super) fn outline_256<'a>(
     gloss: &mut Gloss,
     views: &[View; 2],
@@ -52,7 +58,10 @@ pub(super) fn outline_256<'a>(
 ) -> u8 {
     let mut depths_mm: ArrayVec<f64, DEPTHS_MAX> =
         nodes.map(|node| node.point_mm.z).take(DEPTHS_MAX).collect();
-    if depths_mm.is_empty() || views.iter().any(|view| view.profiler.dark_parts()) {
+    if views.iter().any(|view| view.profiler.dark_parts()) {
+        return DARK_OUTLINE_256;
+    }
+    if depths_mm.is_empty() {
         return HALF_WAY;
     }
     let middle = depths_mm.len() / 2;

@@ -5,7 +5,7 @@ use crate::pose::shading::Shading;
 /// How a pose is refined.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Params {
-    /// Height of the point that the middle of the outline shows above the wire's axis, in radii, 0 to 1.
+    /// Height of the point that the middle of the outline shows above the wire's axis, in radii, -1 to 1.
     pub lift_radii: f64,
     /// Width of the outline over the wire's diameter where only one side is seen.
     pub outline_ratio: f64,
