@@ -1,36 +1,45 @@
 //! Wire that is interrupted: two parts end to end look like one of their length together, and something narrow and dark may
-//! lie across. Narrower than the pictures resolve, neither hides a station or parts the mask; both make a notch in the
-//! light along the wire, at the same place in both pictures.
+//! lie across. Narrower than the pictures resolve, neither parts the mask; both make a notch in the light along the wire, at the
+//! same place in both pictures.
 
 use super::explanations::Explanation;
 use crate::pose::model::{PoseModel, Station};
 use crate::pose::refine::View;
 use crate::pose::verify::{PieceSight, Sight};
 
-/// A notch is as deep as this share of what the part's light stands out in the mean: some two thirds of the way to the
+/// A notch is as deep as this share of what the part's light stands out in that picture: some two thirds of the way to the
 /// background. Grain makes a quarter of that; stains may make nearly as much.
 const NOTCH_SHARE: f64 = 1.0;
 /// Where across the wire there is a notch, in half widths from its middle: a scratch does not go through.
 const ACROSS: [f64; 3] = [0.0, -0.35, 0.35];
 /// How far a notch may lie beyond the stations that it lies between, in pixels.
 const BEYOND_PX: f64 = 1.0;
-/// Cosine of the angle up to which wire is straight over four stations, and the least share of its length that a picture shows.
+/// Cosine of the angle up to which wire is straight over four or five stations, and the least share of its length that a picture shows.
 const STRAIGHT_COS: f64 = 0.9995;
 const LENGTH_SHARE_MIN: f64 = 0.7;
 
 /// Whether the wire of this explanation is interrupted where it is straight and both pictures show it clearly.
 pub(super) fn is_interrupted(model: &PoseModel, explanation: &Explanation, views: &[View; 2]) -> bool {
     let pieces = &explanation.verdict.pieces;
-    let Some(above) = explanation.light.above else { return false };
-    let stations = model.stations.windows(4).zip(pieces.windows(4));
-    stations.filter(|(stations, _)| is_straight(stations)).any(|(stations, pieces)| {
-        let length_radii = (stations[2].position_mm - stations[1].position_mm).norm() / model.radius_mm;
-        [0, 1].into_iter().all(|side: usize| {
-            let between = [&pieces[1][side], &pieces[2][side]];
-            let least_px = LENGTH_SHARE_MIN * length_radii * between[0].half_width_px;
-            has_notch(between, least_px, NOTCH_SHARE * above, &views[side])
-        })
-    })
+    let [Some(left), Some(right)] = explanation.light.above_in else { return false };
+    let is_between = |stations: &[Station], pieces: &[[PieceSight; 2]]| {
+        let [_, a, .., b, _] = stations else { return false };
+        let [_, pieces_a, .., pieces_b, _] = pieces else { return false };
+        let length_radii = (b.position_mm - a.position_mm).norm() / model.radius_mm;
+        is_straight(stations)
+            && [0, 1].into_iter().all(|side: usize| {
+                let between = [&pieces_a[side], &pieces_b[side]];
+                let least_px = LENGTH_SHARE_MIN * length_radii * between[0].half_width_px;
+                has_notch(between, least_px, NOTCH_SHARE * [left, right][side], &views[side])
+            })
+    };
+    let has_between = |count: usize, is_asked: fn(&[[PieceSight; 2]]) -> bool| {
+        let stations = model.stations.windows(count).zip(pieces.windows(count));
+        stations.filter(|(_, pieces)| is_asked(pieces)).any(|(stations, pieces)| is_between(stations, pieces))
+    };
+    // Between two stations; and where one lies in the notch itself.
+    has_between(4, |_| true)
+        || has_between(5, |pieces| pieces[2].iter().all(|seen| seen.sight != Sight::Clear))
 }
 
 /// Whether stations lie in a row on straight wire.

@@ -13,8 +13,9 @@ use crate::pose::refine::View;
 use crate::pose::section::LightAcross;
 use crate::pose::verify::{PieceSight, Sight, Verdict};
 
-/// Stations this many thicknesses apart are looked at.
+/// Stations this many thicknesses apart are looked at, and of a short part so many at least.
 const SKEW_THICKNESSES: usize = 6;
+const PIECES_MIN: usize = 4;
 /// Weight of no displacement along a part's wire, where nothing is seen of it, against all that is seen across.
 const ALONG_WEIGHT: f64 = 0.02;
 /// How many parts speak for a lamp straight above, unseen.
@@ -30,32 +31,41 @@ pub(super) struct Light {
     /// The equations of where it lies, in half widths along x and y of the left camera.
     normal: Matrix2<f64>,
     right_side: Vector2<f64>,
-    /// By how many grey levels it stands out, in the mean; `None` where nothing of it is seen clearly.
-    pub(super) above: Option<f64>,
+    /// By how many grey levels it stands out in each picture, in the mean; `None` where nothing of it is seen clearly.
+    pub(super) above_in: [Option<f64>; 2],
 }
 
 impl Light {
     /// On a part that pictures have this verdict on.
     pub(super) fn on(model: &PoseModel, verdict: &Verdict, views: &[View; 2]) -> Self {
-        let (mut light, mut sum, mut count) = (Self::default(), 0.0, 0.0);
-        for piece in verdict.pieces.iter().step_by(SKEW_THICKNESSES * model.per_thickness) {
-            for (seen, view) in piece.iter().zip(views).filter(|(seen, _)| seen.sight == Sight::Clear) {
-                let PieceSight { expected_px, across, half_width_px, .. } = *seen;
-                let seen =
-                    seen.seen_px.and_then(|px| view.profiler.light(expected_px, across, half_width_px, px));
+        let (mut light, mut sums, mut counts) = (Self::default(), [0.0; 2], [0.0; 2]);
+        let step = (SKEW_THICKNESSES * model.per_thickness).min(verdict.pieces.len() / PIECES_MIN).max(1);
+        for piece in verdict.pieces.iter().step_by(step) {
+            for (side, view) in
+                views.iter().enumerate().filter(|(side, _)| piece[*side].sight == Sight::Clear)
+            {
+                let PieceSight { expected_px, across, half_width_px, seen_px, .. } = piece[side];
+                let seen = seen_px.and_then(|px| view.profiler.light(expected_px, across, half_width_px, px));
                 let Some(LightAcross { above, skew }) = seen else { continue };
                 let across = view.rotation.tr_mul(&across.push(0.0)).xy();
                 light.normal += across * across.transpose();
                 light.right_side += across * skew;
-                sum += above;
-                count += 1.0;
+                sums[side] += above;
+                counts[side] += 1.0;
             }
         }
+        let count = counts[0] + counts[1];
         if count > 0.0 {
             (light.normal, light.right_side) = (light.normal / count, light.right_side / count);
-            light.above = Some(sum / count);
         }
+        light.above_in = [0, 1].map(|side: usize| (counts[side] > 0.0).then(|| sums[side] / counts[side]));
         light
+    }
+
+    /// By how many grey levels it stands out, in the mean of the pictures that show it clearly.
+    pub(super) fn above(&self) -> Option<f64> {
+        let [left, right] = self.above_in;
+        left.zip(right).map(|(left, right)| f64::midpoint(left, right)).or(left).or(right)
     }
 
     /// How far a lamp displaces the part, in radii, where it displaces wire by `lamp_radii` across: what fits all its wire best,
@@ -85,7 +95,7 @@ mod tests {
     /// Straight wire in this direction, displaced so much across.
     fn straight(angle: f64, across_radii: f64) -> Light {
         let across = Vector2::new(-angle.sin(), angle.cos());
-        Light { normal: across * across.transpose(), right_side: across * across_radii, above: None }
+        Light { normal: across * across.transpose(), right_side: across * across_radii, above_in: [None; 2] }
     }
 
     #[test]

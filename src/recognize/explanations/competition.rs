@@ -79,32 +79,42 @@ impl Explanations {
             self.claim_standing();
         }
         for &index in &self.standing {
-            let Explanation { hypothesis, fit, verdict, light, is_proven, .. } = &mut self.list[index];
-            let model = &parts[hypothesis.part].pose_model;
-            *light = Light::on(model, verdict, views);
-            let overrun_mm = select::unclaimed_overrun_mm(model, verdict, &self.claims);
-            *is_proven = select::is_proven(model, fit, verdict, overrun_mm);
+            let Explanation { hypothesis, verdict, light, .. } = &mut self.list[index];
+            *light = Light::on(&parts[hypothesis.part].pose_model, verdict, views);
         }
-        for k in 0..self.standing.len() {
-            let index = self.standing[k];
-            self.list[index].is_proven &= !self.may_be_kin(index, parts);
+        self.prove(parts);
+        if self.drop_dim() {
+            self.prove(parts);
         }
-        self.drop_dim();
         in_time
     }
 
+    /// Says of those that stand which are proved, given what all of them claim.
+    fn prove(&mut self, parts: &[Prepared]) {
+        for k in 0..self.standing.len() {
+            let index = self.standing[k];
+            let Explanation { hypothesis, fit, verdict, .. } = &self.list[index];
+            let model = &parts[hypothesis.part].pose_model;
+            let overrun_mm = select::unclaimed_overrun_mm(model, verdict, &self.claims);
+            self.list[index].is_proven =
+                select::is_proven(model, fit, verdict, overrun_mm) && !self.may_be_kin(index, parts);
+        }
+    }
+
     /// Drops those in doubt that stand out from the background much less than all that are proven: no parts, but a bin's rim,
-    /// say.
-    fn drop_dim(&mut self) {
+    /// say; says whether there were any.
+    fn drop_dim(&mut self) -> bool {
         let (list, before) = (&self.list, self.standing.len());
-        let above = |index: &usize| list[*index].light.above;
+        let above = |index: &usize| list[*index].light.above();
         let proven = self.standing.iter().filter(|index| list[**index].is_proven);
-        let Some(dimmest) = proven.filter_map(above).reduce(f64::min) else { return };
+        let Some(dimmest) = proven.filter_map(above).reduce(f64::min) else { return false };
         let is_dim = |index: &usize| above(index).is_some_and(|above| above < DIM_SHARE * dimmest);
         self.standing.retain(|index| list[*index].is_proven || !is_dim(index));
-        if self.standing.len() < before {
+        let are_dropped = self.standing.len() < before;
+        if are_dropped {
             self.claim_standing();
         }
+        are_dropped
     }
 
     /// Those that stand, the most valuable first.

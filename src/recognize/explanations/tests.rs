@@ -6,6 +6,7 @@ use nalgebra::Point3;
 
 use super::*;
 use crate::frame::{Frame, FramePair};
+use crate::grasp::Blocked;
 use crate::part::Part;
 use crate::pose::section::HALF_WAY;
 use crate::pose::slide;
@@ -166,6 +167,27 @@ fn a_rod_with_both_ends_on_others_lies_in_the_middle_of_where_it_can() {
         // To a place that is looked at: half a thickness.
         assert!(place_mm.abs() < 1.1, "{displaced_mm}: {place_mm}");
     }
+}
+
+#[test]
+fn two_rods_end_to_end_are_not_offered_as_one_however_the_cameras_are_exposed() {
+    let camera = CameraModel::pinhole(640, 480, 1150.0, 320.0, 240.0);
+    let rig = Rig { left: camera, right: camera, right_from_left: Isometry3::translation(-60.0, 0.0, 0.0) };
+    let at = |mm: f64| Point3::new(30.0 + 0.5 * mm, 0.8 * mm, 500.0);
+    let half_mm = 37.5 / f64::hypot(0.5, 0.8);
+    let mut recognizer = Recognizer::new(Params::default(), rig, vec![rod("rod-75", 75.0)]).unwrap();
+    let mut blocked_with = |gap_mm: f64, right_share: f64| {
+        let rods = [[at(-half_mm), at(-gap_mm / 2.0)], [at(gap_mm / 2.0), at(half_mm)]];
+        let mut pair = drawn(&rig, &rods);
+        pair.right.bytes.iter_mut().for_each(|v| *v = (f64::from(*v) * right_share) as u8);
+        let mut found = Recognition::default();
+        recognizer.run(&pair, Budget::Iterations(100_000), 1, &mut found).unwrap();
+        let [one] = &found.parts[..] else { panic!("{} parts", found.parts.len()) };
+        one.blocked
+    };
+    assert_eq!(blocked_with(0.0, 1.0), None);
+    assert_eq!(blocked_with(1.2, 1.0), Some(Blocked::Unknown));
+    assert_eq!(blocked_with(1.2, 0.4), Some(Blocked::Unknown));
 }
 
 #[test]
