@@ -86,6 +86,21 @@ unsafe fn work_on<F: FnOnce() -> T, T>(job: *mut ()) {
     job.result = job.work.take().map(|work| catch_unwind(AssertUnwindSafe(work)));
 }
 
+/// Does `mine` here and `theirs` where `second` says, or here too.
+///
+/// # Panics
+/// If one of them does.
+pub fn both<A, T: Send>(
+    second: &mut Option<Owner>,
+    mine: impl FnOnce() -> A,
+    theirs: impl FnOnce() -> T + Send,
+) -> (A, T) {
+    match second {
+        Some(second) => second.both(mine, theirs),
+        None => (mine(), theirs()),
+    }
+}
+
 impl Owner {
     /// Does `mine` here and `theirs` in the helper's thread, or here too where that has ended. Returns when both are done.
     ///

@@ -31,6 +31,7 @@ use arrayvec::ArrayVec;
 use nalgebra::{Isometry3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 
 use super::fitness::{Judge, StereoMatch, UNMATCHED};
+use super::lines::on_level;
 use super::nodes::{ImageNode, NodeRole};
 use super::placement::{motion_of_directions, rigid_motion};
 use super::problem::{ANCHORS_MAX, Anchor, MatchModel, StereoNode, leg_direction};
@@ -158,17 +159,20 @@ fn keep(hypothesis: Hypothesis, pool: &mut Vec<Hypothesis>) {
     }
 }
 
-/// Adds to `pool` the poses of part `part` that one stereo node and its legs hold, of those that `may_lie` allows.
+/// Adds to `pool` the poses of part `part` that one stereo node and its legs hold, of those that `may_lie` allows. Legs whose
+/// direction in space the pictures do not tell are taken to be level, at right angles to the unit vector `down` (left camera's
+/// frame).
 pub fn of_single_node(
     params: &SingleParams,
     part: usize,
     judge: &Judge,
     single: &SingleNode,
+    down: &Vector3<f64>,
     may_lie: impl Fn(&Isometry3<f64>) -> bool,
     pool: &mut Vec<Hypothesis>,
 ) {
     let node = single.node;
-    let legs = space_legs(params, judge.rig, node, single.images);
+    let legs = space_legs(params, judge.rig, node, single.images, down);
     for (a, anchor) in judge.model.anchors.iter().enumerate() {
         if anchor.is_repeated || !super::fitness::may_be(anchor.role, node.role) {
             continue;
@@ -191,12 +195,13 @@ pub fn of_single_node(
 }
 
 /// Adds to `pool` the poses of a bent part `part` that an end, which holds it but for a turn about the wire there, and the
-/// foreground hold, of those that `may_lie` allows.
+/// foreground hold, of those that `may_lie` allows; `down` as in [`of_single_node`].
 pub fn of_single_end(
     params: &SingleParams,
     part: usize,
     judge: &Judge,
     single: &SingleNode,
+    down: &Vector3<f64>,
     may_lie: impl Fn(&Isometry3<f64>) -> bool,
     pool: &mut Vec<Hypothesis>,
 ) {
@@ -204,7 +209,7 @@ pub fn of_single_end(
     if node.role != NodeRole::End || judge.model.straight {
         return;
     }
-    let legs = space_legs(params, judge.rig, node, single.images);
+    let legs = space_legs(params, judge.rig, node, single.images, down);
     for (a, anchor) in judge.model.anchors.iter().enumerate() {
         let [(along, _)] = anchor.legs[..] else { continue };
         if anchor.is_repeated {
@@ -351,6 +356,7 @@ fn space_legs(
     rig: &Rig,
     node: &StereoNode,
     [left, right]: [&ImageNode; 2],
+    down: &Vector3<f64>,
 ) -> ArrayVec<SpaceLeg, SPACE_LEGS_MAX> {
     let across = rig.right_from_left_across();
     let pairs = left.legs().iter().flat_map(|l| right.legs().iter().map(move |r| (l, r)));
@@ -360,15 +366,16 @@ fn space_legs(
     });
     let legs = alike.filter_map(|(l, r)| match leg_direction(rig, l, r) {
         Some((direction, hold)) if hold >= params.hold_min => Some(SpaceLeg { direction, towards: None }),
-        _ => level_direction(node, l)
+        _ => level_direction(node, l, down)
             .map(|direction| SpaceLeg { direction, towards: Some(l.far_ray.push(1.0)) }),
     });
     legs.take(SPACE_LEGS_MAX).collect()
 }
 
-/// The direction of a leg that lies at the depth of its node.
-fn level_direction(node: &StereoNode, leg: &super::nodes::Leg) -> Option<Vector3<f64>> {
-    (leg.far_ray - leg.near_ray).push(0.0).scale(node.point_mm.z).try_normalize(1e-9)
+/// The direction of a leg that lies as high as its node; the unit vector `down` in the left camera's frame.
+fn level_direction(node: &StereoNode, leg: &super::nodes::Leg, down: &Vector3<f64>) -> Option<Vector3<f64>> {
+    let [near, far] = [leg.near_ray, leg.far_ray].map(|ray| on_level(&ray, &node.point_mm, down));
+    (far? - near?).try_normalize(1e-9)
 }
 
 #[cfg(test)]
@@ -413,7 +420,15 @@ mod tests {
             let single = SingleNode { index: 5, node: &node, images: [&images[0], &images[1]] };
             let find = |may_lie: &dyn Fn(&Isometry3<f64>) -> bool| {
                 let mut pool = Vec::with_capacity(100);
-                of_single_end(&SingleParams::default(), 0, &scene.judge(), &single, may_lie, &mut pool);
+                of_single_end(
+                    &SingleParams::default(),
+                    0,
+                    &scene.judge(),
+                    &single,
+                    &Vector3::z(),
+                    may_lie,
+                    &mut pool,
+                );
                 pool
             };
             // A step of turns, and what thick wire leaves open.

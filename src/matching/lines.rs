@@ -182,7 +182,7 @@ impl Lines {
                 let r = if cos < 0.0 { Seen { rays: [r.rays[1], r.rays[0]], ..*r } } else { *r };
                 match held_line(params, &geometry, l, &r) {
                     Some(line) => keep(line),
-                    None => level_lines(params, &geometry, l, &r, &mut keep),
+                    None => level_lines(params, &geometry, down, [l, &r], &mut keep),
                 }
             }
         }
@@ -298,8 +298,8 @@ fn held_line(params: &Params, geometry: &StereoGeometry, l: &Seen, r: &Seen) -> 
 fn level_lines(
     params: &Params,
     geometry: &StereoGeometry,
-    l: &Seen,
-    r: &Seen,
+    down: &Vector3<f64>,
+    [l, r]: [&Seen; 2],
     keep: &mut impl FnMut(SpaceLine),
 ) {
     let end = |k: usize| {
@@ -316,13 +316,25 @@ fn level_lines(
     }
     for (k, seen) in ends.iter().enumerate() {
         let Some(at) = seen else { continue };
-        let [a, b] = l.rays.map(|ray| Point3::from(ray.push(1.0) * at.z));
+        let [Some(a), Some(b)] = l.rays.map(|ray| on_level(&ray, at, down)) else { continue };
         let Some(along) = (b - a).try_normalize(1e-9) else { continue };
         let length = (b - a).norm();
         // The seen end is the place itself; the other is as far as the left picture shows.
         let origin_mm = if k == 0 { *at } else { at - along * length };
         keep(SpaceLine { origin_mm, along, seen_mm: [[0.0, length]; 2] });
     }
+}
+
+/// Where a ray from the left camera meets the level plane, which `down` is at right angles to, through a place; `None` where it
+/// does so behind the camera or never.
+pub(super) fn on_level(
+    ray: &Vector2<f64>,
+    through: &Point3<f64>,
+    down: &Vector3<f64>,
+) -> Option<Point3<f64>> {
+    let ray = ray.push(1.0);
+    let times = through.coords.dot(down) / ray.dot(down);
+    (times > 0.0 && times.is_finite()).then(|| Point3::from(ray * times))
 }
 
 /// Where two lines pass each other nearer than `apart_mm_max`: the middle, and its place along both.
@@ -366,6 +378,20 @@ mod tests {
         node = [{ name = 'a', position_mm = [50.0, 0.0, 0.0] }, { name = 'b', position_mm = [0.0, 25.0, 0.0] }]\n\
         edge = [{ from = 'a', to = 'b', via = [[0.0, 0.0, 0.0]] }]\n\
         grasp = { position_mm = [25.0, 0.0, 0.0], approach = [0.0, 0.0, -1.0], closing = [0.0, 1.0, 0.0], width_mm = 8.0 }\n";
+
+    #[test]
+    fn level_is_what_the_floor_is_and_not_the_picture() {
+        // Cameras pitched by 30 degrees.
+        let down = Vector3::new(0.0, 0.5, 0.75f64.sqrt());
+        let through = Point3::new(20.0, -30.0, 500.0);
+        for ray in [Vector2::new(0.1, 0.2), Vector2::new(-0.2, 0.0), Vector2::new(0.04, -0.06)] {
+            let met = on_level(&ray, &through, &down).unwrap();
+            assert!(
+                (met - through).dot(&down).abs() < 1e-9 && (met.xy().coords / met.z - ray).norm() < 1e-12
+            );
+        }
+        assert_eq!(on_level(&Vector2::new(0.0, -2.0), &through, &down), None);
+    }
 
     /// Poses that the pieces of the part's wire hold, each seen from 0.2 to 0.9 of its length in the left and from 0.1
     /// to 0.9 in the right picture, on masks that are all foreground.

@@ -54,7 +54,7 @@ use super::length_table::LengthTable;
 use super::nodes::ImageNode;
 use super::open::{OpenPairs, Pictures};
 use super::pool::{Dice, Pool};
-use super::problem::StereoNode;
+use super::problem::{ANCHORS_MAX, StereoNode};
 use super::random::{self, Random};
 use crate::rig::Rig;
 use crate::time::Budget;
@@ -286,16 +286,21 @@ impl Search {
             Method::Auto => self.params.exact_steps_max,
             _ => u64::MAX,
         };
-        for (part, turn) in self.turns.iter_mut().enumerate() {
-            let limits = exhaustive::Limits {
-                fitness_max: self.params.fitness_max,
-                budget: budget.less(self.iterations),
-                steps_max: most,
-            };
-            self.exhaustive.run(&judge_of(part), &self.candidates, limits, &mut turn.found);
-            self.iterations += self.exhaustive.steps();
-            turn.done = self.exhaustive.is_complete();
-            self.spent |= !turn.done && self.exhaustive.steps() < most;
+        // Parts with few nodes first, whose trees are small: the large tree of another leaves them their budget.
+        for anchors in 0..=ANCHORS_MAX {
+            let has_so_many = |part: usize| judge_of(part).model.anchors.len() == anchors;
+            let turns = self.turns.iter_mut().enumerate();
+            for (part, turn) in turns.filter(|(part, _)| has_so_many(*part)) {
+                let limits = exhaustive::Limits {
+                    fitness_max: self.params.fitness_max,
+                    budget: budget.less(self.iterations),
+                    steps_max: most,
+                };
+                self.exhaustive.run(&judge_of(part), &self.candidates, limits, &mut turn.found);
+                self.iterations += self.exhaustive.steps();
+                turn.done = self.exhaustive.is_complete();
+                self.spent |= !turn.done && self.exhaustive.steps() < most;
+            }
         }
     }
 

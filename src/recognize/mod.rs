@@ -265,7 +265,7 @@ impl Recognizer {
         let [left, right] = &mut self.pictures;
         let mut of_right = StageTimes::default();
         let is_shared = self.second.is_some();
-        let (left, right) = both(
+        let (left, right) = hands::both(
             &mut self.second,
             || left.run(&pair.left, Side::Left, end, stages),
             || right.run(&pair.right, Side::Right, end, &mut of_right),
@@ -306,16 +306,20 @@ impl Recognizer {
                 let images = [&left[node.left as usize], &right[node.right as usize]];
                 let single = SingleNode { index: n, node, images };
                 let may_lie = |pose: &Isometry3<f64>| may_lie(index, pose);
-                hypotheses::of_single_node(&params.single, index, &judge, &single, may_lie, pool);
+                hypotheses::of_single_node(&params.single, index, &judge, &single, &down, may_lie, pool);
             }
         }
         search.run_by_chance(rig, [left, right], judge_of, budget, &mut used, seed);
         out.spent.iterations += used;
         out.out_of_time |= search.is_out_of_time();
         let matches: usize = (0..parts.len()).map(|p| search.matches(p).len()).sum();
-        // What there is no room for is not looked at.
-        out.out_of_time |= pool.len() == HYPOTHESES_MAX || pool.len() + matches > HYPOTHESES_MAX;
-        pool.truncate(HYPOTHESES_MAX.saturating_sub(matches));
+        // What there is no room for is not looked at: the least fit.
+        let room = HYPOTHESES_MAX.saturating_sub(matches);
+        if pool.len() == HYPOTHESES_MAX || pool.len() > room {
+            out.out_of_time = true;
+            pool.sort_unstable_by(|a, b| a.fitness.total_cmp(&b.fitness));
+            pool.truncate(room);
+        }
         for (index, prepared) in parts.iter().enumerate() {
             for found in search.matches(index) {
                 if pool.len() < HYPOTHESES_MAX {
@@ -346,7 +350,7 @@ impl Recognizer {
                 }
                 let images = [&left[node.left as usize], &right[node.right as usize]];
                 let single = SingleNode { index: n, node, images };
-                hypotheses::of_single_end(&params.single, index, &judge, &single, may_lie, pool);
+                hypotheses::of_single_end(&params.single, index, &judge, &single, &down, may_lie, pool);
                 if !prepared.match_model.smooth {
                     continue;
                 }
@@ -393,13 +397,13 @@ impl Recognizer {
             ridges.run(luma, pictures[side].mask(), &areas[side], dark, half_px[side], end);
         };
         let [left_ridges, right_ridges] = &mut *ridges;
-        both(second, || look(left_ridges, left, 0), || look(right_ridges, right, 1));
+        hands::both(second, || look(left_ridges, left, 0), || look(right_ridges, right, 1));
         // What may have been broken off is not looked at, now or when it is done again.
         if looking.is_over() {
             return false;
         }
         let down = grasp::down_in_left(&params.grasp);
-        let slope_sin_max = params.slope_rad_max.sin();
+        let slope_sin_max = parts.iter().map(|p| p.slope_sin_max(params.slope_rad_max)).fold(0.0, f64::max);
         let [left, right] = [0, 1].map(|side: usize| {
             let claims = &claims[side];
             ridges[side].stretches().iter().filter(move |s| !is_claimed(claims, s))
@@ -480,18 +484,6 @@ fn depth_mm(rig: &Rig, thickest_mm: f64) -> [f64; 2] {
 /// That of the size in which the pictures were looked at.
 fn rig_of<'a>(scales: &'a [Scale], pictures: &[Picture; 2]) -> &'a Rig {
     &scales[pictures[0].halvings()].rig
-}
-
-/// Does both halves of a job, the second one in another thread where there is one.
-fn both<L, R: Send>(
-    second: &mut Option<hands::Owner>,
-    left: impl FnOnce() -> L,
-    right: impl FnOnce() -> R + Send,
-) -> (L, R) {
-    match second {
-        Some(second) => second.both(left, right),
-        None => (left(), right()),
-    }
 }
 
 #[cfg(test)]

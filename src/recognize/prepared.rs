@@ -120,7 +120,12 @@ impl Prepared {
         let slope = |leg: &(Vector3<f64>, f64)| (left_from_part * leg.0).dot(down).abs();
         let steepest =
             self.match_model.anchors.iter().flat_map(|a| a.legs.iter().map(slope)).fold(0.0, f64::max);
-        steepest > (slope_rad_max + 2.0 * self.raised_rad).min(FRAC_PI_2).sin()
+        steepest > self.slope_sin_max(slope_rad_max)
+    }
+
+    /// Sine of the slope up to which its straight pieces lie.
+    pub(super) fn slope_sin_max(&self, slope_rad_max: f64) -> f64 {
+        (slope_rad_max + 2.0 * self.raised_rad).min(FRAC_PI_2).sin()
     }
 
     /// The first explanation of this part, whose index is `part`, that lies near a pose: nearer than the first distance in

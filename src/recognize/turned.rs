@@ -22,9 +22,9 @@ const CERTAIN_SIGMAS: f64 = 3.0;
 const WORTH_IT: f64 = 0.5;
 /// What the model of wire and ends leaves of a turn that is none, in pixels, whatever the number of parts.
 const MODEL_SIGMA_PX: [f64; 2] = [0.04, 0.08];
-/// Webcams turn by less than this from one day to the next, in pixels. One that was knocked farther has turned along the
-/// baseline as well.
-const FAR_PX: f64 = 2.0;
+/// Webcams turn by less than this from one day to the next, in radians about the baseline and about the line of sight: two pixels
+/// of a picture of 640x480 through a lens of 31 degrees. One that was knocked farther has turned along the baseline as well.
+const FAR_RAD: [f64; 2] = [0.00175, 0.00625];
 /// Where no part is recognised, so many ends of wire in each picture are more than those of a few foreign things.
 const ENDS_WITHOUT_PARTS_MIN: u32 = 8;
 /// Information, per square radian, beside which all other is none.
@@ -51,7 +51,7 @@ impl Recognizer {
             let Some(turn) = more else { break };
             let (before, parts) = (self.turn, out.parts.len());
             (in_time, more) = go(self, before + turn, out);
-            // What explains the pictures worse is not how the camera stands; one of many parts may have been none.
+            // What explains the pictures worse is not how the camera stands; one of ten parts may have been none.
             if in_time && !out.out_of_time && 10 * out.parts.len() < 9 * parts {
                 (in_time, _) = go(self, before, out);
                 break;
@@ -103,7 +103,8 @@ impl Recognizer {
             return false;
         }
         let focal_px = rig_of(&self.scales, &self.pictures).right.focal_px();
-        let depth_mm = || parts.iter().map(|found| found.left_from_part.translation.z);
+        let centre = |found: &FoundPart| found.left_from_part * self.parts[found.part].pose_model.centre_mm;
+        let depth_mm = || parts.iter().map(|found| centre(found).z);
         let [nearest, farthest] = [depth_mm().fold(f64::MAX, f64::min), depth_mm().fold(0.0, f64::max)];
         let [thinnest_mm, thickest_mm] = self.thickness_mm;
         self.votes
@@ -120,12 +121,8 @@ struct Told {
     is_worth_it: bool,
     /// Whether what is not allowed for yet is certain by itself.
     in_doubt: bool,
-}
-
-impl Told {
-    fn is_far(&self) -> bool {
-        self.is_certain && self.px.abs() > FAR_PX
-    }
+    /// Whether it is more than [`FAR_RAD`] for certain.
+    is_far: bool,
 }
 
 /// Directions of a turn, and what a turn about them does to the right picture.
@@ -185,6 +182,7 @@ fn turned(
             is_certain,
             is_worth_it: missing_px.abs() > WORTH_IT * MODEL_SIGMA_PX[k] * model_px,
             in_doubt: more_px.abs() > CERTAIN_SIGMAS * sigma_px,
+            is_far: is_certain && px.abs() > FAR_RAD[k] * px_per_radian[k],
         }
     });
     let told = Turned {
@@ -197,7 +195,7 @@ fn turned(
         doubt: if rows.in_doubt || rim.in_doubt {
             Some(Doubt::Rest)
         } else {
-            [&rows, &rim].iter().any(|told| told.is_far()).then_some(Doubt::Far)
+            (rows.is_far || rim.is_far).then_some(Doubt::Far)
         },
         ..Turned::default()
     };

@@ -98,7 +98,8 @@ impl Graph {
     pub fn reserve(&mut self, params: &Params) {
         self.nodes.reserve(params.nodes_max as usize);
         self.edges.reserve(params.edges_max as usize);
-        self.points.reserve(params.points_max as usize);
+        // Those that were traced, and as many where ends grow again.
+        self.points.reserve(2 * params.points_max as usize);
     }
 
     /// The pixels of an edge, in order from its first node to its second.
