@@ -23,6 +23,7 @@ use crate::hands;
 use crate::recognize::{Recognition, Recognizer, Refusal, StageTimes};
 use crate::report::overlay::Overlay;
 use crate::report::{Canvas, stages};
+use crate::vision::decode::Output;
 
 /// Recognises; results go to standard output and to the files that were asked for.
 ///
@@ -163,7 +164,8 @@ impl Job<'_> {
         if self.args.overlay.is_none() && self.args.stages.is_none() {
             return Ok(());
         }
-        let raw = [decoded(&frames.left, &paths[0])?, decoded(&frames.right, &paths[1])?];
+        let in_colour = |frame, path: &PathBuf| decoded(frame, path, Output::Rgb);
+        let raw = [in_colour(&frames.left, &paths[0])?, in_colour(&frames.right, &paths[1])?];
         let overlay = self.overlay(&raw);
         if let Some(path) = &self.args.overlay {
             let folder = path.parent().unwrap_or(Path::new(""));
@@ -216,8 +218,11 @@ impl Job<'_> {
 fn refused(reason: Refusal, frames: &FramePair, paths: &[PathBuf; 2]) -> RecognizeError {
     if let Refusal::Damaged { .. } = reason {
         for (frame, path) in [(&frames.left, &paths[0]), (&frames.right, &paths[1])] {
-            if let Err(e) = decoded(frame, path) {
-                return e;
+            // Some pictures give colours, but no luma.
+            for output in [Output::Rgb, Output::Grey] {
+                if let Err(e) = decoded(frame, path, output) {
+                    return e;
+                }
             }
         }
     }
