@@ -10,7 +10,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::thread::Builder;
 
-pub use args::RecognizeArgs;
+pub use args::{RecognizeArgs, corners_as_values};
 pub use error::RecognizeError;
 
 use self::args::Format;
