@@ -39,7 +39,7 @@ pub fn run(args: &RecognizeArgs) -> Result<(), RecognizeError> {
     let setup = Setup::new(args)?;
     let recognizer = Recognizer::new(setup.params.clone(), setup.rig, setup.parts.clone());
     let mut recognizer = recognizer.map_err(|error| match &setup.region_of {
-        Some(cell) => cell.region_error(&error).into(),
+        Some(cell) => cell.region_error(&error, &setup.rig).into(),
         None => RecognizeError::from(error),
     })?;
     if setup.threads > 1 {
