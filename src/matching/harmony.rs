@@ -31,7 +31,7 @@
 //!   source (doi:10.1016/j.amc.2006.11.033): NI is the number of improvisations, gn counts them.
 //! * Section III-B allows HMCR and PAR from 0 to 1, both included; Algorithms 1 and 3 require both in [0, 1), without 1. Read:
 //!   0 to 1, both included.
-//! * Equations (5) and (6) are said to be by "Wang and Juang" [25]. Their source is by Wang and Huang
+//! * Equations (5) and (6) are said to be by "Wang and Juang" (reference 25). Their source is by Wang and Huang
 //!   (doi:10.1016/j.eswa.2009.09.008).
 //! * Algorithm 2 (binarization) compares the wrong way round, and paints white and black where the text says 1 and 0; figure 5
 //!   shows the object black on white. Read: see [`vision::binarize`](crate::vision::binarize).
