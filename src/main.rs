@@ -42,7 +42,7 @@ enum LogFormat {
 }
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli = Cli::parse_from(recognize::corners_as_values(std::env::args_os()));
     start_log(cli.log_format);
     match cli.command {
         Command::Run(args) => match run::run(&args) {

@@ -1,8 +1,10 @@
 //! One picture through the stages of vision: decoded, binarized, halved where its wire is thick, thinned, read as a graph.
 
-use std::ops::RangeInclusive;
+mod blind;
 
-use crate::frame::{Frame, LumaView, PixelFormat};
+use blind::{Blind, blind};
+
+use crate::frame::{Frame, PixelFormat};
 use crate::matching::nodes::{ImageNode, ImageNodes};
 use crate::part::Part;
 use crate::recognize::{Params, Refusal, Side, StageTimes};
@@ -185,14 +187,12 @@ impl Picture {
         let seen = if binarize.needs_luma_only() { luma } else { raw };
         binarize.run(seen, &mut sizes[0].mask).map_err(refused)?;
         let range = binarize.params();
-        let is_light_on_dark = !range.inverted && range.colour == ColourRange::Auto;
-        if is_light_on_dark && sizes[0].mask.words().iter().all(|&word| word == 0) {
-            if is_all_of(luma, WHITE_LUMA) {
-                return Err(Refusal::White { side });
-            }
-            if is_all_of(luma, BLACK_LUMA) {
-                return Err(Refusal::Black { side });
-            }
+        let is_bright_on_dark = !range.inverted && range.colour == ColourRange::Auto;
+        match blind(luma, &sizes[0].mask, is_bright_on_dark) {
+            Some(Blind::White) => return Err(Refusal::White { side }),
+            Some(Blind::Black) => return Err(Refusal::Black { side }),
+            Some(Blind::Noise) => return Err(Refusal::Noise { side }),
+            None => {}
         }
         *halvings = 0;
         while let [whole, half, ..] = &mut sizes[*halvings..]
@@ -310,20 +310,4 @@ pub(crate) fn halvings(camera: CameraModel) -> impl Iterator<Item = CameraModel>
 fn is_thick(mask: &BitImage, evenness: f64) -> bool {
     let thickness_px = thickness_px(mask);
     thickness_px >= THICK_PX_MIN && thickness_px * evenness >= THIN_PX_MIN
-}
-
-/// Luma of a camera that is saturated, and of one that sees no light: no floor is so dark, and no wire would stand out.
-const WHITE_LUMA: RangeInclusive<u8> = 250..=255;
-const BLACK_LUMA: RangeInclusive<u8> = 0..=8;
-
-/// Whether 99 of 100 pixels are as light or dark as that; every fourth pixel of every fourth row is looked at.
-fn is_all_of(luma: &Frame, wanted: RangeInclusive<u8>) -> bool {
-    let Some(view) = LumaView::new(luma) else { return false };
-    let places = (0..luma.height).step_by(4).flat_map(|y| (0..luma.width).step_by(4).map(move |x| (x, y)));
-    let (mut found, mut all) = (0usize, 0usize);
-    for (x, y) in places {
-        all += 1;
-        found += usize::from(wanted.contains(&view.at(x, y)));
-    }
-    100 * found >= 99 * all
 }

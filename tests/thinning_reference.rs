@@ -1,4 +1,4 @@
-//! Thinning against OpenCV's skeletons of the shared reference pictures; skipped where they are not there.
+//! Thinning against OpenCV's skeletons of the pictures in tests/thinning, and of more where ../shared/thinning is there.
 
 use pickcell::level::Level;
 use pickcell::vision::bits::BitImage;
@@ -10,14 +10,10 @@ fn read(path: &Path) -> BitImage {
     BitImage::from_grey(grey.width() as usize, grey.height() as usize, grey.as_raw())
 }
 
-#[test]
-fn skeletons_equal_opencv_pixel_for_pixel() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/thinning");
-    if !folder.is_dir() {
-        println!("skipped: {} is not there", folder.display());
-        return;
-    }
-    for name in ["skimage_horse", "opencv_shape_3", "opencv_shape_14"] {
+/// Every picture of these names in a folder of the project, with both algorithms and all instructions.
+fn check(folder: &str, names: &[&str]) {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join(folder);
+    for name in names {
         let mask = read(&folder.join(format!("{name}.png")));
         for (algorithm, suffix) in
             [(Algorithm::ZhangSuen, "cv_zhangsuen"), (Algorithm::GuoHall, "cv_guohall")]
@@ -31,4 +27,18 @@ fn skeletons_equal_opencv_pixel_for_pixel() {
             }
         }
     }
+}
+
+#[test]
+fn skeletons_equal_opencv_pixel_for_pixel() {
+    check("tests/thinning", &["drawn", "skimage_horse"]);
+}
+
+#[test]
+fn skeletons_of_the_shared_pictures_equal_opencv_pixel_for_pixel() {
+    if !Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/thinning").is_dir() {
+        println!("skipped: ../shared/thinning is not there");
+        return;
+    }
+    check("../shared/thinning", &["opencv_shape_3", "opencv_shape_14"]);
 }

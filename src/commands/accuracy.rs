@@ -1,7 +1,7 @@
 //! `pickcell accuracy`: recognises scenes with known truth and prints how near it came.
 
 use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use crate::accuracy::score::{Score, Verdict};
 use crate::accuracy::truth::{self, Scene, SceneSet, Truth};
@@ -9,7 +9,7 @@ use crate::commands::pictures::{PairFiles, read_pair};
 use crate::commands::recognize::output::PairResult;
 use crate::commands::whole;
 use crate::files::write_atomically;
-use crate::part::Part;
+use crate::part::{Part, PartError};
 use crate::recognize::{Params, Recognition, Recognizer};
 use crate::rig::Rig;
 use crate::session::RecordedPicture;
@@ -67,13 +67,18 @@ pub fn run(args: &Accuracy) -> Result<u8, Box<dyn std::error::Error>> {
         )
         .into());
     }
+    let chosen = sets.into_iter().filter(|set| args.sets.is_empty() || args.sets.contains(&set.name));
+    // All part files before the first line: a wrong folder is no table.
+    let with_parts = chosen.map(|set| {
+        let paths: Vec<PathBuf> = set.parts.iter().map(|p| folder.join(format!("{p}.toml"))).collect();
+        Ok((set, Part::read_all(&paths)?))
+    });
+    let with_parts: Vec<_> = with_parts.collect::<Result<_, PartError>>()?;
     say(Score::HEADING)?;
-    for set in sets {
-        if args.sets.is_empty() || args.sets.contains(&set.name) {
-            let score = run_set(args, &set, &folder)?;
-            say(&score.row(&set.name))?;
-            total.merge(&score);
-        }
+    for (set, parts) in &with_parts {
+        let score = run_set(args, set, parts)?;
+        say(&score.row(&set.name))?;
+        total.merge(&score);
     }
     say(&total.row("**all**"))?;
     Ok(0)
@@ -93,19 +98,17 @@ fn say(line: &str) -> io::Result<()> {
     writeln!(io::stdout().lock(), "{line}")
 }
 
-fn run_set(args: &Accuracy, set: &SceneSet, folder: &Path) -> Result<Score, Box<dyn std::error::Error>> {
+fn run_set(args: &Accuracy, set: &SceneSet, parts: &[Part]) -> Result<Score, Box<dyn std::error::Error>> {
     let rig = Rig::read(&set.calibration)?;
     let baseline = rig.right_eye().coords.normalize();
     // The pictures stay: it is the calibration that is of before.
     let rig = rig.with_right_turned(&(baseline * (-args.turned_px / rig.right.fy)));
-    let paths: Vec<PathBuf> = set.parts.iter().map(|p| folder.join(format!("{p}.toml"))).collect();
-    let parts = Part::read_all(&paths)?;
     let mut params = Params::default();
     params.binarize.iter_mut().for_each(|b| {
         b.inverted = set.dark_parts;
         b.speck_px_min = 20;
     });
-    let mut recognizer = Recognizer::new(params, rig, parts.clone())?;
+    let mut recognizer = Recognizer::new(params, rig, parts.to_vec())?;
     let mut score = Score::default();
     for scene in &set.scenes {
         let truth = truth::read_truth(&scene.truth)?;
@@ -119,7 +122,7 @@ fn run_set(args: &Accuracy, set: &SceneSet, folder: &Path) -> Result<Score, Box<
         recognizer.run(&pair, Budget::Iterations(args.iterations), args.seed, &mut found)?;
         if let Some(out) = &args.out {
             let folder = out.join(&set.name).join(&scene.name);
-            let result = PairResult::new(Some(&scene.name), &found, &parts, "left", &[found.stages]);
+            let result = PairResult::new(Some(&scene.name), &found, parts, "left", &[found.stages]);
             let path = folder.join("results.json");
             std::fs::create_dir_all(&folder)
                 .and_then(|()| write_atomically(&path, (result.to_json() + "\n").as_bytes()))
@@ -127,9 +130,9 @@ fn run_set(args: &Accuracy, set: &SceneSet, folder: &Path) -> Result<Score, Box<
                     io::Error::new(e.kind(), format!("{}: cannot be written: {e}", path.display()))
                 })?;
         }
-        let verdicts = score.add(&truth, &found, &parts);
+        let verdicts = score.add(&truth, &found, parts);
         if args.verbose {
-            tell(set, scene, &truth, &found, &parts, &verdicts)?;
+            tell(set, scene, &truth, &found, parts, &verdicts)?;
         }
     }
     Ok(score)

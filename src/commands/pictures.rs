@@ -134,12 +134,12 @@ pub fn read_pair(pair: &PairFiles, rig: &Rig) -> Result<(FramePair, [PathBuf; 2]
     Ok((frames, pictures.map(RecordedPicture::place)))
 }
 
-/// The picture without compression, in colour.
+/// The picture without compression; a JPEG becomes what `output` says.
 ///
 /// # Errors
-/// A JPEG that is damaged or cut short.
-pub fn decoded(frame: &Frame, path: &Path) -> Result<Frame, RecognizeError> {
-    let mut decoder = Decoder::new(Output::Rgb, frame.width, frame.height);
+/// A JPEG that is damaged, cut short, or of colours that do not become that.
+pub fn decoded(frame: &Frame, path: &Path, output: Output) -> Result<Frame, RecognizeError> {
+    let mut decoder = Decoder::new(output, frame.width, frame.height);
     let raw = decoder.run(frame);
     raw.cloned().map_err(|reason| RecognizeError::Decode { path: path.to_owned(), reason })
 }

@@ -29,8 +29,8 @@ use firmware_bridge::config::{Fault, Settings};
 use serde::Deserialize;
 
 use crate::matching::harmony;
-use crate::recognize;
-use crate::vision::binarize::ParamsError;
+use crate::vision::binarize::{Binarize, ParamsError};
+use crate::{recognize, rig};
 
 pub use crate::vision::binarize::ColourRange;
 pub use crate::vision::thin::Algorithm as ThinMethod;
@@ -146,10 +146,21 @@ impl Cell {
         params
     }
 
-    /// What the recogniser says of `region_px`, which it compares with the calibration's size, as an error of the file.
-    pub fn region_error(&self, error: &ParamsError) -> ConfigError {
+    /// What the recogniser says of `region_px`, which it compares with the calibration's size, as an error of the file. It
+    /// takes the left picture first.
+    pub fn region_error(&self, error: &ParamsError, rig: &rig::Rig) -> ConfigError {
+        let [left, _] = self.recognition_params().binarize;
+        let is_left = Binarize::new(left, rig.left.width, rig.left.height).err().as_ref() == Some(error);
+        self.region_error_of(if is_left { "left" } else { "right" }, error)
+    }
+
+    /// What is said of the region of one picture, as an error of the file; names the side where each has its own.
+    pub fn region_error_of(&self, side: &str, error: &ParamsError) -> ConfigError {
+        let Recognition { region_left_px, region_right_px, .. } = &self.recognition;
+        let key = if region_left_px == region_right_px { "region_px" } else { &format!("region_px.{side}") };
+        let problem = format!("recognition.{}", error.to_string().replacen("region_px", key, 1));
         let source = Source { file: self.file.clone(), text: self.text.clone() };
-        source.wrong(Fault::Other { key: "recognition.region_px", problem: format!("recognition.{error}") })
+        source.wrong(Fault::Other { key: "recognition.region_px", problem })
     }
 
     /// Time from a frame's stamp to the last byte of its target on the wire: `deadline_ms`, or two frame periods.

@@ -24,8 +24,8 @@
 //! What is cheap comes first: no pixel is read where lengths alone put the fitness over the limit that the caller
 //! gives. Spans are projected with three exact points, the rest lies on the parabola through them: for a wire of
 //! 90 mm seen by the scenes' cameras within 0.1 px of the exact projection across the wire (tested). The expected
-//! length in pixels is scaled from the seen one by perspective alone: the lens stretches both alike to within 1 % of
-//! their difference.
+//! length in pixels is scaled from the seen one by perspective alone: the lens is taken to stretch both alike, as it does lengths
+//! that differ little.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 

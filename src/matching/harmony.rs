@@ -29,8 +29,14 @@
 //! * Table III calls the new harmony number 5 beside the old number 5: it has taken its place.
 //! * Equations (2) and (4), "NI is the number of solutions", and `gen` on the left is `gn` on the right: read, as in the
 //!   source (doi:10.1016/j.amc.2006.11.033): NI is the number of improvisations, gn counts them.
-//! * Algorithm 2 (binarization) compares the wrong way round, paints white and black where the text says 1 and 0, its
-//!   loops run one pixel too far, and y ends where x = Image.height; figure 5 shows the object black on white; see [`vision::binarize`](crate::vision::binarize).
+//! * Section III-B allows HMCR and PAR from 0 to 1, both included; Algorithms 1 and 3 require both in [0, 1), without 1. Read:
+//!   0 to 1, both included.
+//! * Equations (5) and (6) are said to be by "Wang and Juang" (reference 25). Their source is by Wang and Huang
+//!   (doi:10.1016/j.eswa.2009.09.008).
+//! * Algorithm 2 (binarization) compares the wrong way round, and paints white and black where the text says 1 and 0; figure 5
+//!   shows the object black on white. Read: see [`vision::binarize`](crate::vision::binarize).
+//! * Algorithm 2, `for x = 0 to x = Image.width` and `for y = 0 to x = Image.height`: both run one pixel too far, the inner one
+//!   ends by x, and there is an `end for` too many. Read: x up to width - 1, and for each y up to height - 1.
 //!
 //! # What is added
 //! A scene holds many parts, and Harmony Search stalls. So every distinct match under the threshold that is met goes

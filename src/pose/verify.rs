@@ -310,3 +310,7 @@ pub fn overrun_mm(model: &PoseModel, onward: &[OnwardPiece], counts: impl Fn(&On
     let longest = onward.chunk_by(|a, b| a.stop == b.stop).map(of_stop).max().unwrap_or(0);
     longest as f64 * model.radius_mm
 }
+
+#[cfg(test)]
+#[path = "verify_tests.rs"]
+mod tests;

@@ -53,17 +53,23 @@ pub enum Refusal {
     },
     /// The picture is white all over, so that no threshold can be found: not an empty bin, a blinded camera.
     #[error(
-        "{side} picture is white all over: less light, a shorter exposure, or a colour range in place of auto"
+        "{side} picture is white all over: less light, a shorter exposure, or a colour range in place of auto (recognition.colour, --color-min)"
     )]
     White {
         /// `left` or `right`.
         side: Side,
     },
     /// The picture is black all over: not an empty bin, a camera that sees no light.
-    #[error(
-        "{side} picture is black all over: light, the cap of the lens, a longer exposure, or a colour range in place of auto"
-    )]
+    #[error("{side} picture is black all over: look at the light, the cap of the lens and the exposure")]
     Black {
+        /// `left` or `right`.
+        side: Side,
+    },
+    /// The picture is noise all over: not an empty bin, a camera that sees next to no light and amplifies it.
+    #[error(
+        "{side} picture is noise and nothing else: look at the light, the cap of the lens, the gain and the exposure"
+    )]
+    Noise {
         /// `left` or `right`.
         side: Side,
     },

@@ -1,6 +1,6 @@
 //! A right camera that has turned since the rig was calibrated: told by the parts of a pair, and allowed for.
 //!
-//! Half a pixel across the baseline is a hundredth of a degree or two; webcams on their stands turn by that from one day to the
+//! Half a pixel across the baseline is a fortieth of a degree; webcams on their stands turn by that from one day to the
 //! next. Wire along the baseline then lies millimetres too high or too low, and is taken for wire of another slope. All
 //! parts of a pair together tell it to a twentieth of a pixel.
 

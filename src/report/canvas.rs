@@ -141,6 +141,12 @@ impl Canvas {
         }
     }
 
+    /// Width and height of a text, its rim included.
+    pub fn text_size(text: &str, scale: usize) -> Vector2<f64> {
+        let columns = (font::COLUMNS + 1) * text.chars().count();
+        Vector2::new((columns * scale + 1) as f64, (font::ROWS * scale + 2) as f64)
+    }
+
     fn letter(&mut self, left: i64, top: i64, letter: char, scale: i64, rim: i64, colour: Colour) {
         let share = if rim > 0 { 0.7 } else { 1.0 };
         for (column, dots) in font::glyph(letter).into_iter().enumerate() {

@@ -101,11 +101,14 @@ impl Overlay<'_> {
             canvas.put_frame(self.frames[side], offset_px);
             graph(&mut canvas, self.graphs[side], offset);
             let view = View { side, offset, overlay: self };
+            let labels = view.label_places(&canvas);
             // the best on top
             for (i, found) in self.found.iter().enumerate().rev() {
                 view.part(&mut canvas, found);
                 view.grasp(&mut canvas, found);
-                view.fitness(&mut canvas, i + 1, found);
+                if let Some(at) = labels[i] {
+                    canvas.text(at, &label(i + 1, found), label_scale(&canvas), FITNESS);
+                }
             }
         }
         if !self.caption.is_empty() {
@@ -201,13 +204,49 @@ impl View<'_> {
         }
     }
 
-    /// Rank and fitness beside the grasp.
-    fn fitness(&self, canvas: &mut Canvas, rank: usize, found: &FoundPart) {
-        let at = self.overlay.base_from_left.inverse() * found.grasp.position_mm;
-        if let Some(px) = self.project(&at) {
-            let scale = if canvas.width() > 2000 { 3 } else { 1 };
-            let text = format!("{rank}: {:.2}", found.fitness);
-            canvas.text(px + Vector2::new(9.0, -13.0), &text, scale, FITNESS);
-        }
+    /// Where rank and fitness of each part stand: beside its grasp, or as far below that as there is no other's. The best have
+    /// the first choice.
+    fn label_places(&self, canvas: &Canvas) -> Vec<Option<Vector2<f64>>> {
+        let mut taken: Vec<(Vector2<f64>, Vector2<f64>)> = Vec::new();
+        let place = |(i, found): (usize, &FoundPart)| {
+            let at = self.overlay.base_from_left.inverse() * found.grasp.position_mm;
+            let size = Canvas::text_size(&label(i + 1, found), label_scale(canvas));
+            let beside = self.project(&at)? + Vector2::new(9.0, -13.0);
+            let is_free = |at: &Vector2<f64>| !taken.iter().any(|other| overlap(&(*at, size), other));
+            let below = (0..LABELS_ASIDE_MAX).map(|k| beside + Vector2::new(0.0, k as f64 * size.y));
+            let free = below.into_iter().find(is_free).unwrap_or(beside);
+            taken.push((free, size));
+            Some(free)
+        };
+        self.overlay.found.iter().enumerate().map(place).collect()
+    }
+}
+
+/// A label goes at most so many of its heights down to lie on no other.
+const LABELS_ASIDE_MAX: usize = 4;
+
+/// Rank and fitness.
+fn label(rank: usize, found: &FoundPart) -> String {
+    format!("{rank}: {:.3}", found.fitness)
+}
+
+fn label_scale(canvas: &Canvas) -> usize {
+    if canvas.width() > 2000 { 3 } else { 1 }
+}
+
+/// Whether two boxes, each its upper left corner and size, share anything.
+fn overlap(a: &(Vector2<f64>, Vector2<f64>), b: &(Vector2<f64>, Vector2<f64>)) -> bool {
+    [0, 1].into_iter().all(|k| a.0[k] < b.0[k] + b.1[k] && b.0[k] < a.0[k] + a.1[k])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn boxes_overlap_where_they_share_a_place() {
+        let at = |x: f64, y: f64| (Vector2::new(x, y), Vector2::new(40.0, 10.0));
+        assert!(overlap(&at(0.0, 0.0), &at(39.0, -9.0)) && overlap(&at(0.0, 0.0), &at(0.0, 0.0)));
+        assert!(!overlap(&at(0.0, 0.0), &at(40.0, 0.0)) && !overlap(&at(0.0, 0.0), &at(3.0, 10.0)));
     }
 }

@@ -10,6 +10,7 @@ use prost::Message;
 use super::foxglove::{CompressedImage, ImageKind, RawImage, format_of};
 use super::records::RecordingError;
 use crate::frame::{ColourEncoding, Frame, PixelFormat};
+use crate::vision::decode::on_one_line;
 
 /// Largest width or height of a picture, pixels.
 const SIDE_PX_MAX: u32 = 8192;
@@ -18,7 +19,7 @@ const SIDE_PX_MAX: u32 = 8192;
 #[derive(Debug, thiserror::Error)]
 pub enum PictureError {
     /// The file cannot be read.
-    #[error("{}: cannot read it: {reason}", path.display())]
+    #[error("{}: cannot read it: {reason}; give the path of a png or jpg picture", path.display())]
     Unreadable {
         /// The file.
         path: PathBuf,
@@ -26,15 +27,15 @@ pub enum PictureError {
         reason: std::io::Error,
     },
     /// The file is no PNG or JPEG, or is damaged.
-    #[error("{}: not a whole png or jpg picture ({reason}); record it again", path.display())]
+    #[error("{}: not a whole png or jpg picture ({reason}); record or copy it again", path.display())]
     Broken {
         /// The file.
         path: PathBuf,
-        /// What the decoder said.
-        reason: image::ImageError,
+        /// What the decoder said, on one line.
+        reason: String,
     },
     /// Neither PNG nor JPEG by its first bytes.
-    #[error("{}: neither a png nor a jpg picture", path.display())]
+    #[error("{}: neither a png nor a jpg picture; record it as one of them, or convert it", path.display())]
     Foreign {
         /// The file.
         path: PathBuf,
@@ -107,7 +108,7 @@ pub fn read_raw_picture(path: &Path) -> Result<Frame, PictureError> {
 
 /// The bytes of a png or jpg file; `path` is where they are from.
 fn from_file(bytes: Vec<u8>, path: &Path) -> Result<Frame, PictureError> {
-    let broken = |reason| PictureError::Broken { path: path.to_owned(), reason };
+    let broken = |error: image::ImageError| broken(path, error);
     let format = image::guess_format(&bytes).map_err(|_| PictureError::Foreign { path: path.to_owned() })?;
     let reader = || ImageReader::with_format(Cursor::new(&bytes), format);
     let (width, height) = match format {
@@ -121,7 +122,19 @@ fn from_file(bytes: Vec<u8>, path: &Path) -> Result<Frame, PictureError> {
         return Ok(Frame { bytes, format, width, height, ..Frame::default() });
     }
     let decoded = reader().decode().map_err(broken)?;
+    // The decoder is content with all pixels. A file that ends there was not written or copied to its end.
+    if !bytes.windows(PNG_END.len()).rev().any(|bytes| bytes == PNG_END) {
+        let reason = "its end is missing".to_owned();
+        return Err(PictureError::Broken { path: path.to_owned(), reason });
+    }
     Ok(from_decoded(decoded, width, height))
+}
+
+/// Type and checksum of the last chunk of a PNG.
+const PNG_END: &[u8] = b"IEND\xae\x42\x60\x82";
+
+fn broken(path: &Path, error: image::ImageError) -> PictureError {
+    PictureError::Broken { path: path.to_owned(), reason: on_one_line(error) }
 }
 
 fn check_size(width: u32, height: u32, path: &Path) -> Result<(), PictureError> {
@@ -174,7 +187,7 @@ pub(super) fn decoded(frame: Frame, path: PathBuf) -> Result<Frame, PictureError
         return Ok(frame);
     }
     let decoded = image::load_from_memory_with_format(&frame.bytes, ImageFormat::Jpeg)
-        .map_err(|reason| PictureError::Broken { path, reason })?;
+        .map_err(|error| broken(&path, error))?;
     Ok(from_decoded(decoded, frame.width, frame.height))
 }
 
@@ -219,7 +232,37 @@ mod tests {
         std::fs::write(at("text.jpg"), "hello").unwrap();
         let message = |name: &str| read_picture(&at(name)).unwrap_err().to_string();
         assert!(message("cut.png").contains("cut.png: not a whole png or jpg picture"));
-        assert!(message("text.jpg").ends_with("text.jpg: neither a png nor a jpg picture"));
-        assert!(message("none.png").contains("none.png: cannot read it"));
+        assert!(message("text.jpg").contains("text.jpg: neither a png nor a jpg picture; record it as one"));
+        let missing = message("none.png");
+        assert!(missing.contains("none.png: cannot read it: No such file or directory"), "{missing}");
+        assert!(missing.ends_with("; give the path of a png or jpg picture"), "{missing}");
+    }
+
+    #[test]
+    fn a_png_without_its_end_is_not_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        image::RgbImage::new(64, 64).save(&path).unwrap();
+        let whole = std::fs::read(&path).unwrap();
+        for missing in [1, 4, 12] {
+            std::fs::write(&path, &whole[..whole.len() - missing]).unwrap();
+            let message = read_picture(&path).unwrap_err().to_string();
+            assert!(message.contains("a.png: not a whole png or jpg picture"), "{missing}: {message}");
+        }
+        std::fs::write(&path, [&whole[..], b"and what some programs put behind it"].concat()).unwrap();
+        assert!(read_picture(&path).is_ok());
+    }
+
+    #[test]
+    fn what_the_decoder_says_stays_on_one_line() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.jpg");
+        // A segment of no length.
+        std::fs::write(&path, [0xff, 0xd8, 0xff, 0xe0, 0, 0, 0xff, 0xd9]).unwrap();
+        let message = read_picture(&path).unwrap_err().to_string();
+        assert!(
+            message.contains("a.jpg: not a whole png or jpg picture (") && !message.contains('\n'),
+            "{message:?}"
+        );
     }
 }

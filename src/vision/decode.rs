@@ -34,6 +34,8 @@ mod tables;
 #[cfg(test)]
 mod written;
 
+use std::fmt::Display;
+
 use crate::frame::{Frame, PixelFormat};
 use crate::level::Level;
 use baseline::{Baseline, Fault};
@@ -77,7 +79,10 @@ pub enum DecodeError {
         bytes: usize,
     },
     /// Cut short: no end-of-image marker.
-    #[error("JPEG picture of {bytes} bytes is cut short; the camera or its cable dropped data")]
+    #[error(
+        "JPEG picture of {bytes} bytes is cut short: the camera or its cable dropped data, or the file was not copied whole; \
+         record or copy it again"
+    )]
     Truncated {
         /// How many bytes there are.
         bytes: usize,
@@ -97,13 +102,26 @@ pub enum DecodeError {
         wanted_height: usize,
     },
     /// Damaged inside.
-    #[error("JPEG picture of {bytes} bytes is damaged: {reason}")]
+    #[error("JPEG picture of {bytes} bytes is damaged: {reason}; record or copy it again")]
     Damaged {
         /// How many bytes there are.
         bytes: usize,
-        /// What the decoder met.
+        /// What the decoder met, on one line.
         reason: String,
     },
+    /// Other colours than luma and chroma, or grey; no webcam sends them.
+    #[error(
+        "JPEG picture has the colour components {components}, which are not supported; convert it to a png in RGB or grey"
+    )]
+    Colours {
+        /// Which.
+        components: &'static str,
+    },
+}
+
+/// A message of another library without line breaks and runs of blanks: what is printed a line a picture.
+pub(crate) fn on_one_line(message: impl Display) -> String {
+    message.to_string().split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 /// The stage: owns the raw frame.
@@ -140,7 +158,7 @@ impl Decoder {
     /// The raw frame of `frame`: itself, or its picture decoded.
     ///
     /// # Errors
-    /// [`DecodeError`] for what is no JPEG picture, cut short, damaged or of another size.
+    /// [`DecodeError`] for what is no JPEG picture, cut short, damaged, of another size, or in colours that give no luma.
     pub fn run<'a>(&'a mut self, frame: &'a Frame) -> Result<&'a Frame, DecodeError> {
         if frame.format != PixelFormat::Mjpeg {
             return Ok(frame);
@@ -227,7 +245,7 @@ fn decode_anywhere(
 
 /// A picture of a kind that [`Baseline`] does not know.
 fn decode_unusual(jpeg: &[u8], output: Output, raw: &mut Frame, bytes: usize) -> Result<(), DecodeError> {
-    let damaged = |e: zune_jpeg::errors::DecodeErrors| DecodeError::Damaged { bytes, reason: e.to_string() };
+    let damaged = |e: zune_jpeg::errors::DecodeErrors| DecodeError::Damaged { bytes, reason: on_one_line(e) };
     let space = match output {
         Output::Rgb => ColorSpace::RGB,
         Output::Grey => ColorSpace::Luma,
@@ -239,7 +257,22 @@ fn decode_unusual(jpeg: &[u8], output: Output, raw: &mut Frame, bytes: usize) ->
     if (width, height) != (raw.width, raw.height) {
         return Err(DecodeError::Size { width, height, wanted_width: raw.width, wanted_height: raw.height });
     }
+    let space = decoder.input_colorspace().unwrap_or(ColorSpace::YCbCr);
+    if output == Output::Grey && !matches!(space, ColorSpace::YCbCr | ColorSpace::Luma) {
+        let count = decoder.info().map_or(0, |info| info.components);
+        return Err(DecodeError::Colours { components: components_of(space, count) });
+    }
     decoder.decode_into(&mut raw.bytes).map_err(damaged)
+}
+
+/// The names of the components; the decoder calls all that are not luma and chroma CMYK.
+fn components_of(space: ColorSpace, count: u8) -> &'static str {
+    match (space, count) {
+        (_, 3) => "R, G, B",
+        (ColorSpace::YCCK, _) => "Y, Cb, Cr, K",
+        (_, 4) => "C, M, Y, K",
+        _ => "of an unknown kind",
+    }
 }
 
 /// The picture up to its end-of-image marker; drivers may pad the buffer with zeros.
@@ -397,5 +430,20 @@ mod tests {
         assert!(message(&good.bytes[..good.bytes.len() / 2]).contains("is cut short"));
         assert!(message(&[0xff, 0xd8, 0xff, 0xd9]).contains("is damaged"));
         assert!(message(&jpeg(32, 32).bytes).contains("is 32x32 where 48x32 is set up"));
+        let cut = message(&good.bytes[..good.bytes.len() / 2]);
+        assert!(cut.ends_with("record or copy it again"), "{cut}");
+    }
+
+    #[test]
+    fn colours_without_luma_are_named() {
+        let mut frame = jpeg(48, 32);
+        // Adobe's marker: the components are not Y, Cb and Cr.
+        frame.bytes.splice(2..2, *b"\xff\xee\x00\x0eAdobe\x00\x64\x00\x00\x00\x00\x00");
+        assert!(Decoder::new(Output::Rgb, 48, 32).run(&frame).is_ok());
+        let fault = Decoder::new(Output::Grey, 48, 32).run(&frame).expect_err("no luma").to_string();
+        assert!(
+            fault.contains("has the colour components R, G, B, which are not supported; convert"),
+            "{fault}"
+        );
     }
 }

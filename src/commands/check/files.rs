@@ -1,7 +1,7 @@
 //! What `check` finds in the files that a cell names: calibration, parts, session, region, workspace.
 
 use std::path::Path;
-use std::time::{Duration, SystemTime};
+use std::time::{Duration, UNIX_EPOCH};
 
 use nalgebra::{Point3, Vector3};
 
@@ -12,6 +12,7 @@ use crate::grasp;
 use crate::part::Part;
 use crate::rig::Rig;
 use crate::session::Session;
+use crate::time::wall_ms;
 use crate::vision::binarize::Binarize;
 
 /// After so long a calibration should be looked at again: screws settle, mounts creep.
@@ -124,7 +125,8 @@ fn calibration(cell: &Cell, findings: &mut Findings) -> Option<Rig> {
 
 fn age(path: &Path) -> Option<Duration> {
     let changed = std::fs::metadata(path).ok()?.modified().ok()?;
-    SystemTime::now().duration_since(changed).ok()
+    let since_1970 = changed.duration_since(UNIX_EPOCH).ok()?;
+    Duration::from_millis(wall_ms()).checked_sub(since_1970)
 }
 
 fn session(cell: &Cell, rig: Option<&Rig>, findings: &mut Findings) {
@@ -176,7 +178,9 @@ fn region(cell: &Cell, rig: &Rig, findings: &mut Findings) {
     for (params, (side, camera)) in params.into_iter().zip(cameras) {
         let whole = params.region_px.is_empty();
         match Binarize::new(params, camera.width, camera.height) {
-            Err(error) => findings.wrong(&format!("{side} picture"), cell.region_error(&error).to_string()),
+            Err(error) => {
+                findings.wrong(&format!("{side} picture"), cell.region_error_of(side, &error).to_string())
+            }
             Ok(binarize) => {
                 let seen: u32 = binarize
                     .region()

@@ -59,6 +59,13 @@ fn a_cell_that_is_wrong_ends_with_2() {
     let wanted =
         "cell.toml, line 44: recognition.region_px: corner 1 is (700, 0), outside the 640x480 picture";
     assert!(text.contains(wanted), "{text}");
+    let (code, text) = complaint(
+        "# region_px = [[0, 0], [640, 0], [640, 480], [0, 480]]",
+        "region_px = { left = [[0, 0], [640, 0], [640, 480]], right = [[0, 0], [1000, 0], [640, 480]] }",
+    );
+    assert_eq!(code, 2);
+    assert!(text.starts_with("right picture: "), "{text}");
+    assert!(text.contains("line 44: recognition.region_px.right: corner 1 is (1000, 0), outside"), "{text}");
     let missing = findings(Path::new("/nowhere/cell.toml"));
     assert_eq!(missing.exit_code(), 2);
     assert!(missing.in_words().contains("name the cell's file with --cell FILE"));

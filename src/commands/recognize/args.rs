@@ -1,5 +1,6 @@
 //! What can be said on the command line of `pickcell recognize`.
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
@@ -60,10 +61,10 @@ pub struct RecognizeArgs {
     #[arg(long, value_name = "R,G,B", allow_hyphen_values = true, value_parser = rgb, conflicts_with_all = ["grey_min", "grey_max"], help_heading = "Pixels")]
     pub color_max: Option<Rgb>,
     /// Least BT.601 luma of a part's pixel [default: 0]
-    #[arg(long, value_name = "0..255", help_heading = "Pixels")]
+    #[arg(long, value_name = "0..255", allow_hyphen_values = true, value_parser = whole::<u8>(0, 255), help_heading = "Pixels")]
     pub grey_min: Option<u8>,
     /// Greatest BT.601 luma of a part's pixel [default: 255]
-    #[arg(long, value_name = "0..255", help_heading = "Pixels")]
+    #[arg(long, value_name = "0..255", allow_hyphen_values = true, value_parser = whole::<u8>(0, 255), help_heading = "Pixels")]
     pub grey_max: Option<u8>,
     /// Parts are the pixels outside the range: dark parts on a light floor
     #[arg(long, help_heading = "Pixels")]
@@ -113,6 +114,28 @@ pub struct RecognizeArgs {
     /// How results are printed
     #[arg(long, value_enum, default_value_t = Format::Text, help_heading = "Output")]
     pub format: Format,
+}
+
+/// Has corners with a negative x taken for values of `--region-px`, not for options, and those after `--region-px=` for more of
+/// its values: so they get to the check of the region, which says what is allowed.
+pub fn corners_as_values(arguments: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
+    let (mut values, mut are_corners) = (Vec::new(), false);
+    for argument in arguments {
+        let text = argument.to_string_lossy();
+        if let Some(first) = text.strip_prefix("--region-px=") {
+            are_corners = true;
+            values.extend(["--region-px".into(), format!(" {first}").into()]);
+        } else if are_corners
+            && text.strip_prefix('-').is_some_and(|x| x.starts_with(|c: char| c == '.' || c.is_ascii_digit()))
+        {
+            // No option begins with a blank; a corner may.
+            values.push(format!(" {text}").into());
+        } else {
+            are_corners = text == "--region-px" || are_corners && !text.starts_with('-');
+            values.push(argument);
+        }
+    }
+    values
 }
 
 /// Red, green and blue.

@@ -10,7 +10,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::thread::Builder;
 
-pub use args::RecognizeArgs;
+pub use args::{RecognizeArgs, corners_as_values};
 pub use error::RecognizeError;
 
 use self::args::Format;
@@ -23,6 +23,7 @@ use crate::hands;
 use crate::recognize::{Recognition, Recognizer, Refusal, StageTimes};
 use crate::report::overlay::Overlay;
 use crate::report::{Canvas, stages};
+use crate::vision::decode::Output;
 
 /// Recognises; results go to standard output and to the files that were asked for.
 ///
@@ -38,7 +39,7 @@ pub fn run(args: &RecognizeArgs) -> Result<(), RecognizeError> {
     let setup = Setup::new(args)?;
     let recognizer = Recognizer::new(setup.params.clone(), setup.rig, setup.parts.clone());
     let mut recognizer = recognizer.map_err(|error| match &setup.region_of {
-        Some(cell) => cell.region_error(&error).into(),
+        Some(cell) => cell.region_error(&error, &setup.rig).into(),
         None => RecognizeError::from(error),
     })?;
     if setup.threads > 1 {
@@ -163,7 +164,8 @@ impl Job<'_> {
         if self.args.overlay.is_none() && self.args.stages.is_none() {
             return Ok(());
         }
-        let raw = [decoded(&frames.left, &paths[0])?, decoded(&frames.right, &paths[1])?];
+        let in_colour = |frame, path: &PathBuf| decoded(frame, path, Output::Rgb);
+        let raw = [in_colour(&frames.left, &paths[0])?, in_colour(&frames.right, &paths[1])?];
         let overlay = self.overlay(&raw);
         if let Some(path) = &self.args.overlay {
             let folder = path.parent().unwrap_or(Path::new(""));
@@ -216,8 +218,11 @@ impl Job<'_> {
 fn refused(reason: Refusal, frames: &FramePair, paths: &[PathBuf; 2]) -> RecognizeError {
     if let Refusal::Damaged { .. } = reason {
         for (frame, path) in [(&frames.left, &paths[0]), (&frames.right, &paths[1])] {
-            if let Err(e) = decoded(frame, path) {
-                return e;
+            // Some pictures give colours, but no luma.
+            for output in [Output::Rgb, Output::Grey] {
+                if let Err(e) = decoded(frame, path, output) {
+                    return e;
+                }
             }
         }
     }

@@ -96,7 +96,7 @@ impl Setup {
         let rig = Rig::read(&cell.rig.calibration)?;
         let parts = Part::read_all(&cell.recognition.parts)?;
         let recognizer = Recognizer::new(cell.recognition_params(), rig, parts.clone());
-        let mut recognizer = recognizer.map_err(|error| cell.region_error(&error))?;
+        let mut recognizer = recognizer.map_err(|error| cell.region_error(&error, &rig))?;
         let mut cell = cell;
         if args.soak.is_some() {
             // Nobody empties the tray of a soak.

@@ -97,7 +97,8 @@ pub enum Refusal {
     },
     /// More specks than are dropped: a picture of noise.
     #[error(
-        "picture has more than {specks_max} specks: more light, less gain, or a narrower colour range or region"
+        "picture has more than {specks_max} specks: more light, less gain, or a narrower colour range (recognition.colour, --color-min) \
+         or region (recognition.region_px, --region-px)"
     )]
     Specks {
         /// How many are.

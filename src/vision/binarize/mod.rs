@@ -5,7 +5,7 @@
 //!
 //! The printed Algorithm 2 compares "`Colormin < pixel > Colormax`" and paints such a pixel white; the paper's text
 //! says the reverse (outside the range is 0). Here a pixel is object = 1 where every channel is in the range, both
-//! ends included.
+//! ends included. Its loops, `x = 0 to x = Image.width` and `y = 0 to x = Image.height`, are read as every pixel once.
 //!
 //! ```
 //! use pickcell::{frame::Frame, vision::{binarize::{Binarize, ColourRange, Params}, bits::BitImage}};

@@ -4,6 +4,7 @@ use super::*;
 use crate::frame::{LumaView, QuantizationRange, YcbcrMatrix};
 use crate::vision::decode::{Decoder, Output};
 use proptest::prelude::*;
+use rand::{RngExt, SeedableRng};
 
 /// One pixel at a time, by the frame's own reading of its pixels.
 fn slow(params: &Params, frame: &Frame) -> BitImage {
@@ -434,5 +435,12 @@ fn noise_is_refused_and_no_empty_picture() {
         let refusal = binarize.run(&specks(4801), &mut bits);
         assert_eq!(refusal, Err(Refusal::Specks { specks_max: 4800 }), "{level:?}");
         assert_eq!(binarize.run(&specks(7), &mut bits), Ok(()));
+        let mut random = rand_pcg::Pcg32::seed_from_u64(1);
+        for _ in 0..3 {
+            let sparse =
+                (0..640 * 480).map(|_| if random.random::<f32>() < 0.1 { 200 } else { 20 }).collect();
+            let refusal = binarize.run(&Frame::from_grey(640, 480, sparse), &mut bits);
+            assert_eq!(refusal, Err(Refusal::Specks { specks_max: 4800 }), "{level:?}");
+        }
     }
 }

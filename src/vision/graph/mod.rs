@@ -126,33 +126,32 @@ impl Graph {
     }
 }
 
+/// What to do where a picture shows too much.
+const NARROWER: &str = "narrow the colour range (recognition.colour, --color-min) or the region (recognition.region_px, --region-px)";
+
 /// Why a picture gives no graph. The picture shows too much: the colour range, the light or the region is wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
 pub enum Refusal {
     /// More end points and junctions than the limit.
-    #[error(
-        "the picture has more than {nodes_max} end points and junctions: narrow the colour range or the region"
-    )]
+    #[error("the picture has more than {nodes_max} end points and junctions: {NARROWER}")]
     TooManyNodes {
         /// The limit.
         nodes_max: u32,
     },
     /// More end points, junctions and bends than can be matched, see [`crate::matching::nodes`].
-    #[error(
-        "the picture has more than {nodes_max} end points, junctions and bends: narrow the colour range or the region"
-    )]
+    #[error("the picture has more than {nodes_max} end points, junctions and bends: {NARROWER}")]
     TooManyImageNodes {
         /// The limit.
         nodes_max: u32,
     },
     /// More edges than the limit.
-    #[error("the picture has more than {edges_max} lines: narrow the colour range or the region")]
+    #[error("the picture has more than {edges_max} lines: {NARROWER}")]
     TooManyEdges {
         /// The limit.
         edges_max: u32,
     },
     /// More skeleton pixels than the limit.
-    #[error("the picture has more than {points_max} skeleton pixels: narrow the colour range or the region")]
+    #[error("the picture has more than {points_max} skeleton pixels: {NARROWER}")]
     TooManyPoints {
         /// The limit.
         points_max: u32,

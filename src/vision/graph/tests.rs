@@ -226,7 +226,8 @@ fn too_much_is_refused_with_its_limit() {
     assert_eq!(run(limits), Refusal::TooManyNodes { nodes_max: 2048 });
     assert_eq!(
         run(limits).to_string(),
-        "the picture has more than 2048 end points and junctions: narrow the colour range or the region"
+        "the picture has more than 2048 end points and junctions: narrow the colour range (recognition.colour, --color-min) or \
+         the region (recognition.region_px, --region-px)"
     );
     let many = Params { nodes_max: 100_000, points_max: 300_000, ..limits };
     assert_eq!(run(many), Refusal::TooManyEdges { edges_max: 4096 });

@@ -1,5 +1,7 @@
 //! `pickcell recognize` from the outside: good pairs, bad input, exit codes, files.
 
+mod refusals;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
@@ -163,17 +165,19 @@ fn stages_and_overlay_are_written_and_the_text_is_for_people() {
     assert!(blue > 300 && red > 100, "segments {blue}, fitness {red}");
 }
 
-/// A folder of one good pair and two bad ones.
+/// A folder of one good pair and three bad ones.
 fn folder_of_pairs() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
-    for name in ["a-good", "b-cut", "c-alone"] {
+    for name in ["a-good", "b-cut", "c-alone", "d-torn"] {
         fs::create_dir(at(name)).unwrap();
         fs::copy(format!("{ROOT}/{LEFT}"), at(name).join("left.jpg")).unwrap();
     }
     let right = fs::read(format!("{ROOT}/{RIGHT}")).unwrap();
     fs::write(at("a-good/right.jpg"), &right).unwrap();
     fs::write(at("b-cut/right.jpg"), &right[..right.len() / 2]).unwrap();
+    // A segment of no length, of which the decoder says so on two lines.
+    fs::write(at("d-torn/right.jpg"), [&right[..2], &[0xff, 0xe0, 0, 0], &right[2..]].concat()).unwrap();
     folder
 }
 
@@ -188,13 +192,13 @@ fn a_bad_pair_of_a_folder_is_one_line_and_the_rest_goes_on() {
     let output = recognize(&[&arguments[..], &["--format", "json"]].concat());
     assert_eq!(output.status.code(), Some(1));
     assert!(
-        text(&output.stderr).contains("2 of 3 pairs could not be recognised"),
+        text(&output.stderr).contains("3 of 4 pairs could not be recognised"),
         "{}",
         text(&output.stderr)
     );
     let lines = json_lines(&output);
     let names: Vec<_> = lines.iter().map(|l| l["pair"].as_str().unwrap()).collect();
-    assert_eq!(names, ["a-good", "b-cut", "c-alone"]);
+    assert_eq!(names, ["a-good", "b-cut", "c-alone", "d-torn"]);
     assert!(!lines[0]["parts"].as_array().unwrap().is_empty());
     assert!(lines[1]["error"].as_str().unwrap().contains("b-cut/right.jpg: "), "{}", lines[1]);
     assert!(
@@ -205,6 +209,13 @@ fn a_bad_pair_of_a_folder_is_one_line_and_the_rest_goes_on() {
     let written: Value =
         serde_json::from_str(&fs::read_to_string(out.path().join("a-good/results.json")).unwrap()).unwrap();
     assert_eq!(written, lines[0]);
+    let output = recognize(&arguments[..2]);
+    let lines: Vec<_> = text(&output.stdout).lines().map(str::to_owned).collect();
+    let last = lines.last().expect("a line a bad pair");
+    assert!(
+        last.starts_with("pair d-torn: error: ") && last.ends_with("; record or copy it again"),
+        "{last}"
+    );
     assert!(!stale.exists() && !out.path().join("c-alone").exists(), "nothing is written for a bad pair");
 }
 
@@ -244,48 +255,6 @@ fn a_cell_gives_everything_and_grasps_are_in_the_base() {
 }
 
 #[test]
-fn wrong_usage_names_key_value_and_remedy() {
-    let pair = ["--left", LEFT, "--right", RIGHT];
-    let cases: [(&[&str], &str); 13] = [
-        (&["--seed", "letters"], "invalid value 'letters' for '--seed <N>': must be a whole number from 0"),
-        (&["--seed", "-1"], "invalid value '-1' for '--seed <N>'"),
-        (&["--color-min", "1,2"], "must be three whole numbers from 0 to 255"),
-        (&["--color-min", "9,9,300"], "invalid value '9,9,300' for '--color-min"),
-        (&["--color-min", "9,200,9", "--color-max", "99,100,99"], "green goes from 200 to 100"),
-        (
-            &["--grey-min", "200", "--grey-max", "100"],
-            "grey_min/grey_max goes from 200 to 100; give a minimum",
-        ),
-        (&["--color", "auto", "--grey-min", "3"], "cannot be used with"),
-        (&["--region-px", "0,0", "700,0", "700,400"], "(700, 0), outside the 640x480 picture"),
-        (&["--region-px", "0,0", "9,x", "7,4"], "must be two numbers, x,y in pixels"),
-        (&["--threads", "3"], "must be a whole number from 1 to 2"),
-        (&["--repeat", "0"], "must be a whole number from 1 to"),
-        (&["--min-speck-px", "-5"], "'-5' for '--min-speck-px <PIXELS>': must be a whole number from 0"),
-        (
-            &["--search", "magic"],
-            "[possible values: auto, harmony, improved, self-adaptive, random, exhaustive]",
-        ),
-    ];
-    for (arguments, wanted) in cases {
-        let message = refusal(&recognize(&[&pair[..], arguments].concat()), 2);
-        assert!(message.contains(wanted), "{message}\nwanted: {wanted}");
-    }
-    for (arguments, wanted) in [
-        (&["recognize"][..], "--calibration <FILE>"),
-        (&["recognize", "--cell", "absent.toml"], "absent.toml"),
-        (&["recognise"], "unrecognized subcommand"),
-    ] {
-        let message = refusal(&pickcell(arguments), 2);
-        assert!(message.contains(wanted), "{message}\nwanted: {wanted}");
-    }
-    let message = refusal(&recognize(&[]), 2);
-    assert!(message.contains("no pictures: give --left and --right, or --pairs"), "{message}");
-    let both = ["--deadline-ms", "30"];
-    assert!(refusal(&recognize(&[&pair[..], &both].concat()), 2).contains("cannot be used with"));
-}
-
-#[test]
 fn a_pair_without_time_or_iterations_offers_nothing_and_says_so() {
     let pair = ["--left", LEFT, "--right", RIGHT, "--format", "json"];
     let rig = ["recognize", "--calibration", "replay/conveyor/calibration.yaml"];
@@ -319,113 +288,6 @@ fn overlay_and_stages_take_the_place_of_no_picture_that_is_read() {
     assert!(output.status.success(), "{}", text(&output.stderr));
     // Again: it is there now.
     assert!(to(&at("o.png")).status.success());
-}
-
-/// A file of this name and content in a folder.
-fn file(folder: &tempfile::TempDir, name: &str, bytes: &[u8]) -> String {
-    let path = folder.path().join(name);
-    fs::write(&path, bytes).unwrap();
-    path.to_str().unwrap().to_owned()
-}
-
-#[test]
-fn one_picture_for_both_cameras_is_refused() {
-    let message = refusal(&recognize(&["--left", LEFT, "--right", LEFT]), 2);
-    assert!(message.contains("the left and the right picture are the same"), "{message}");
-}
-
-#[test]
-fn bad_pictures_are_refused_and_nothing_is_written() {
-    let folder = tempfile::tempdir().unwrap();
-    let jpeg = fs::read(format!("{ROOT}/{RIGHT}")).unwrap();
-    let mut png = Vec::new();
-    let small = image::RgbImage::from_pixel(320, 240, image::Rgb([40; 3]));
-    small.write_to(&mut std::io::Cursor::new(&mut png), image::ImageFormat::Png).unwrap();
-    // white lines, two pixels apart: far more lines than any bin shows
-    let comb =
-        image::GrayImage::from_fn(640, 480, |x, y| image::Luma([255 * u8::from((x / 2 + y / 2) % 2 == 0)]));
-    let comb_path = folder.path().join("comb.png");
-    comb.save(&comb_path).unwrap();
-    let cases: [(String, &str); 7] = [
-        (file(&folder, "cut.jpg", &jpeg[..jpeg.len() / 2]), "cut.jpg: JPEG picture of"),
-        (file(&folder, "cut.png", &png[..png.len() / 2]), "cut.png: not a whole png or jpg picture"),
-        (file(&folder, "empty.jpg", b""), "empty.jpg: neither a png nor a jpg picture"),
-        (file(&folder, "text.png", b"no picture at all"), "text.png: neither a png nor a jpg picture"),
-        (
-            file(&folder, "small.png", &png),
-            "small.png: the right picture is 320x240 pixels, the calibration was made for 640x480",
-        ),
-        ("absent.jpg".to_owned(), "absent.jpg: cannot read it: No such file"),
-        (comb_path.to_str().unwrap().to_owned(), "narrow the colour range or the region"),
-    ];
-    let out = folder.path().join("out");
-    for (path, wanted) in cases {
-        let stages = ["--stages", out.to_str().unwrap(), "--color-min", "100,100,100"];
-        let message = refusal(&recognize(&[&["--left", LEFT, "--right", &path][..], &stages].concat()), 2);
-        assert!(message.contains(wanted), "{message}\nwanted: {wanted}");
-        assert!(!out.exists(), "{path}");
-    }
-    let white = folder.path().join("white.png");
-    image::GrayImage::from_pixel(640, 480, image::Luma([255])).save(&white).unwrap();
-    let white = white.to_str().unwrap();
-    let message = refusal(&recognize(&["--left", LEFT, "--right", white]), 2);
-    assert!(message.contains("right picture is white all over: less light"), "{message}");
-    let message = refusal(&recognize(&["--left", white, "--right", white, "--grey-min", "100"]), 2);
-    assert!(message.contains("narrow the colour range or the region"), "{message}");
-    let black = file(&folder, "black.png", b"");
-    image::GrayImage::from_fn(640, 480, |x, y| image::Luma([((x * y) % 4) as u8])).save(&black).unwrap();
-    let message = refusal(&recognize(&["--left", &black, "--right", LEFT]), 2);
-    assert!(message.contains("left picture is black all over: light, the cap of the lens"), "{message}");
-    let message = refusal(&recognize(&["--left", LEFT, "--right", "/dev/zero"]), 2);
-    assert!(message.contains("/dev/zero: is no regular file"), "{message}");
-}
-
-#[test]
-fn bad_calibrations_and_parts_are_refused() {
-    let folder = tempfile::tempdir().unwrap();
-    let rig = fs::read_to_string(format!("{ROOT}/replay/conveyor/calibration.yaml")).unwrap();
-    let part = fs::read_to_string(format!("{ROOT}/replay/parts/rod-90.toml")).unwrap();
-    let call = |calibration: &str, parts: &[&str]| {
-        let mut all = vec!["recognize", "--calibration", calibration, "--left", LEFT, "--right", RIGHT];
-        parts.iter().for_each(|part| all.extend(["--part", part]));
-        refusal(&pickcell(&all), 2)
-    };
-    let rod = "replay/parts/rod-90.toml";
-    for (from, to, wanted) in [
-        ("M2:", "m2:", "bad.yaml: M2 is missing"),
-        ("1201.127417730653", ".Nan", "M1[0,0] = NaN: must be finite"),
-        ("0.98983000226569451", "0.5", "R = [0.5,"),
-        ("1201.127417730653", "1e300", "M1 = fx 1e300: a focal length is 0.04 to 100 times the longer side"),
-        ("1201.127417730653", "1e-3", "M1 = fx 0.001: a focal length"),
-        (
-            "image_width: 640",
-            "image_width: 1280",
-            "the left picture is 640x480 pixels, the calibration was made for 1280x480",
-        ),
-    ] {
-        let message = call(&file(&folder, "bad.yaml", rig.replacen(from, to, 1).as_bytes()), &[rod]);
-        assert!(message.contains(wanted), "{message}\nwanted: {wanted}");
-    }
-    assert!(call("absent.yaml", &[rod]).contains("calibration absent.yaml: No such file"));
-    let calibration = "replay/conveyor/calibration.yaml";
-    for (from, to, wanted) in [
-        (
-            "to = \"b\"",
-            "to = \"z\"",
-            "bad.toml: edge 1: to = \"z\" is no node of this part; its nodes are a, b",
-        ),
-        (
-            "thickness_mm",
-            "thickness",
-            "bad.toml, line 3: thickness: there is no such key; allowed here: name, thickness_mm",
-        ),
-        ("[45.0, 0.0, 0.0]", "[-45.0, 0.0, 0.0]", "has zero length"),
-    ] {
-        let message = call(calibration, &[&file(&folder, "bad.toml", part.replacen(from, to, 1).as_bytes())]);
-        assert!(message.contains(wanted), "{message}\nwanted: {wanted}");
-    }
-    let twin = file(&folder, "twin.toml", part.as_bytes());
-    assert!(call(calibration, &[rod, &twin]).contains("both have name = \"rod-90\""));
 }
 
 #[test]

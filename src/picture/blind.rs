@@ -1,0 +1,211 @@
+//! Whether a camera sees anything at all: a picture that is white or black all over, or noise and nothing else, is no empty bin.
+
+use std::ops::RangeInclusive;
+
+use crate::frame::Frame;
+use crate::vision::bits::BitImage;
+
+/// Why a picture shows nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Blind {
+    White,
+    Black,
+    Noise,
+}
+
+/// Luma of a camera that is saturated, and of one that sees no light: no floor is so dark, and no wire would stand out.
+const WHITE_LUMA: RangeInclusive<u8> = 250..=255;
+const BLACK_LUMA: RangeInclusive<u8> = 0..=8;
+/// So many places are looked at for that, of which so many may be otherwise: one in a hundred.
+const PLACES: u32 = 8192;
+const OTHERS_MAX: u32 = PLACES / 100;
+/// Side of the squares whose means are compared, in pixels, and the least number of them.
+const SQUARE_PX: usize = 16;
+const SQUARES_MIN: usize = 100;
+/// Standard deviation of a pixel's luma, as neighbours differ, from which on a picture may be noise.
+const NOISE_LUMA_MIN: f64 = 5.0;
+/// Of noise the means of squares scatter as their number of pixels says; the smoothing of a camera and JPEG make it up to five
+/// times that. In the rendered scenes, empty bins among them, it is 1900 times and more: walls and light are no noise.
+const SCATTER_MAX: f64 = 8.0;
+/// How many times as much, or as little, pixels of noise differ farther apart than side by side; smoothing makes it more.
+const EVENNESS_MAX: f64 = 2.0;
+const APART_PX_MAX: usize = 2 * SQUARE_PX;
+/// Of the variance of all, what hardly a piece of noise is calmer than, and how many pieces may be.
+const CALM: f64 = 0.25;
+const CALM_SHARE_MAX: f64 = 0.1;
+
+/// Why the picture shows nothing, if so. `luma` is grey, `mask` what the colours make of it; bright parts alone
+/// (`is_bright_on_dark`) are lost in white, dark ones may lie on a floor that is as bright as the camera sees.
+pub(super) fn blind(luma: &Frame, mask: &BitImage, is_bright_on_dark: bool) -> Option<Blind> {
+    let is_empty = mask.words().iter().all(|&word| word == 0);
+    if is_all_of(luma, BLACK_LUMA) && (is_empty || is_black_object(luma, mask)) {
+        return Some(Blind::Black);
+    }
+    match is_empty {
+        true if is_bright_on_dark && is_all_of(luma, WHITE_LUMA) => Some(Blind::White),
+        true if is_noise(luma) => Some(Blind::Noise),
+        _ => None,
+    }
+}
+
+/// Places all over a picture of this size, in no lattice that anything in it could share: steps of the plastic number's
+/// powers, which lie evenly and never fall into step with a period.
+fn places(width: usize, height: usize) -> impl Iterator<Item = (usize, usize)> {
+    const STEPS: [u32; 2] = [3_242_174_889, 2_447_445_414];
+    let along = |step: u32, k: u32, pixels: usize| {
+        ((u64::from(step.wrapping_mul(k)) * pixels as u64) >> u32::BITS) as usize
+    };
+    (0..PLACES).map(move |k| (along(STEPS[0], k, width), along(STEPS[1], k, height)))
+}
+
+/// Whether 99 of 100 pixels are as light or dark as that. Of a picture that is not this is known after a few.
+fn is_all_of(luma: &Frame, wanted: RangeInclusive<u8>) -> bool {
+    let others = places(luma.width, luma.height)
+        .filter(|&(x, y)| !wanted.contains(&luma.bytes[y * luma.stride_bytes + x]));
+    others.take(OTHERS_MAX as usize + 1).count() <= OTHERS_MAX as usize
+}
+
+/// Whether the colours take black itself for parts, and not what little stands out from it.
+fn is_black_object(luma: &Frame, mask: &BitImage) -> bool {
+    let black = places(luma.width, luma.height).filter(|&(x, y)| {
+        mask.get(x as i32, y as i32) && BLACK_LUMA.contains(&luma.bytes[y * luma.stride_bytes + x])
+    });
+    black.take(OTHERS_MAX as usize + 1).count() > OTHERS_MAX as usize
+}
+
+/// Whether each pixel is by itself everywhere, as with the cap on the lens and the gain turned up: nothing is an edge, or lighter
+/// than elsewhere, even over whole squares of pixels.
+fn is_noise(luma: &Frame) -> bool {
+    let (columns, rows) = (luma.width / SQUARE_PX, luma.height / SQUARE_PX);
+    if columns * rows < SQUARES_MIN {
+        return false;
+    }
+    let row = |y: usize| &luma.bytes[y * luma.stride_bytes..][..columns * SQUARE_PX];
+    // Pixels differ by twice the variance of each; some rows tell.
+    let variance_of = |row: &[u8], apart: usize| {
+        let squares = row.iter().zip(&row[apart..]).map(|(a, b)| u64::from(a.abs_diff(*b)).pow(2));
+        squares.sum::<u64>() as f64 / (2 * (row.len() - apart)) as f64
+    };
+    let looked_at = || (0..rows).map(|y| row(y * SQUARE_PX));
+    let variance_at = |apart| looked_at().map(|row| variance_of(row, apart)).sum::<f64>() / rows as f64;
+    let variance = variance_at(1);
+    if variance < NOISE_LUMA_MIN * NOISE_LUMA_MIN {
+        return false;
+    }
+    // A grid or a weave comes back after its pitch; of noise pixels farther apart differ no more and no less.
+    let is_even = |apart| (1.0 / EVENNESS_MAX..EVENNESS_MAX).contains(&(variance_at(apart) / variance));
+    if !(2..=APART_PX_MAX).all(is_even) {
+        return false;
+    }
+    // Noise is everywhere; between thin lines there is none.
+    let pieces = looked_at().flat_map(|row| row.chunks_exact(SQUARE_PX));
+    let calm = pieces.filter(|piece| variance_of(piece, 1) < CALM * variance).count();
+    if calm as f64 > CALM_SHARE_MAX * (columns * rows) as f64 {
+        return false;
+    }
+    let (mut sum, mut sum_of_squares) = (0.0, 0.0);
+    for y in 0..rows {
+        for x in 0..columns {
+            let pixels = (0..SQUARE_PX).flat_map(|i| &row(y * SQUARE_PX + i)[x * SQUARE_PX..][..SQUARE_PX]);
+            let mean = f64::from(pixels.map(|&v| u32::from(v)).sum::<u32>()) / (SQUARE_PX * SQUARE_PX) as f64;
+            sum += mean;
+            sum_of_squares += mean * mean;
+        }
+    }
+    let count = (columns * rows) as f64;
+    let of_squares = sum_of_squares / count - (sum / count).powi(2);
+    of_squares * ((SQUARE_PX * SQUARE_PX) as f64) < SCATTER_MAX * variance
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg32;
+
+    use super::*;
+    use crate::vision::luma::LumaPlane;
+
+    const SIZE: [usize; 2] = [640, 480];
+
+    fn grey(mut level: impl FnMut(usize, usize) -> f64) -> Frame {
+        let [width, height] = SIZE;
+        let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+        let bytes = pixels.map(|(x, y)| level(x, y).clamp(0.0, 255.0) as u8).collect();
+        Frame::from_grey(width, height, bytes)
+    }
+
+    /// About normal: twelve uniform numbers.
+    fn normal(random: &mut Pcg32) -> f64 {
+        (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0
+    }
+
+    fn seen(luma: &Frame) -> Option<Blind> {
+        blind(luma, &BitImage::new(SIZE[0], SIZE[1]), true)
+    }
+
+    #[test]
+    fn random_noise_is_seen_as_such_and_a_floor_with_noise_is_not() {
+        let mut random = Pcg32::seed_from_u64(1);
+        let noise = |mean: f64, sigma: f64, random: &mut Pcg32| grey(|_, _| mean + sigma * normal(random));
+        for (mean, sigma) in [(60.0, 40.0), (100.0, 10.0), (20.0, 30.0)] {
+            assert_eq!(seen(&noise(mean, sigma, &mut random)), Some(Blind::Noise), "{mean} {sigma}");
+        }
+        // What is left of it after a camera's JPEG of middling quality.
+        let mut jpeg = Vec::new();
+        image::codecs::jpeg::JpegEncoder::new_with_quality(&mut jpeg, 70)
+            .encode(&noise(60.0, 40.0, &mut random).bytes, 640, 480, image::ExtendedColorType::L8)
+            .unwrap();
+        let decoded = image::load_from_memory(&jpeg).unwrap().into_luma8().into_raw();
+        assert_eq!(seen(&Frame::from_grey(640, 480, decoded)), Some(Blind::Noise));
+        let rgb = (0..640 * 480 * 3).map(|_| random.random::<u8>()).collect();
+        let rgb = Frame::from_rgb(640, 480, rgb);
+        assert_eq!(seen(LumaPlane::new(640, 480).run(&rgb, rgb.encoding)), Some(Blind::Noise));
+        // An even floor with the noise of a good camera, and one with much of it whose light falls off by a fifth.
+        assert_eq!(seen(&noise(100.0, 3.0, &mut random)), None);
+        let uneven = grey(|x, _| 100.0 * (1.0 - 0.2 * x as f64 / 640.0) + 10.0 * normal(&mut random));
+        assert_eq!(seen(&uneven), None);
+        let walled = grey(|x, _| if x < 40 { 60.0 } else { 100.0 } + 10.0 * normal(&mut random));
+        assert_eq!(seen(&walled), None);
+    }
+
+    #[test]
+    fn a_grid_of_any_pitch_is_neither_white_nor_black_all_over() {
+        for pitch in 2..50 {
+            let on_grid = |x: usize, y: usize| x.is_multiple_of(pitch) || y.is_multiple_of(pitch);
+            let on_slope = |x: usize, y: usize| (x + y).is_multiple_of(pitch);
+            for line in [255.0, 0.0] {
+                assert_eq!(
+                    seen(&grey(|x, y| if on_slope(x, y) { line } else { 255.0 - line })),
+                    None,
+                    "{pitch}"
+                );
+                assert_eq!(
+                    seen(&grey(|x, y| if on_grid(x, y) { line } else { 255.0 - line })),
+                    None,
+                    "{pitch}"
+                );
+            }
+        }
+        assert_eq!(seen(&grey(|x, y| if x == y { 0.0 } else { 253.0 })), Some(Blind::White));
+        assert_eq!(seen(&grey(|x, y| if x == y { 99.0 } else { ((x * y) % 4) as f64 })), Some(Blind::Black));
+    }
+
+    #[test]
+    fn black_is_no_bin_whatever_the_colours_make_of_it() {
+        let [width, height] = SIZE;
+        let (mut all, empty) = (BitImage::new(width, height), BitImage::new(width, height));
+        (0..height).for_each(|y| (0..width).for_each(|x| all.set(x, y, true)));
+        for is_bright_on_dark in [false, true] {
+            for mask in [&all, &empty] {
+                assert_eq!(blind(&grey(|_, _| 3.0), mask, is_bright_on_dark), Some(Blind::Black));
+            }
+        }
+        // A bright rod on black velvet, less than a hundredth of the picture.
+        let is_rod = |x: usize, y: usize| (200..300).contains(&x) && (100..105).contains(&y);
+        let mut rod = BitImage::new(width, height);
+        (100..105).for_each(|y| (200..300).for_each(|x| rod.set(x, y, true)));
+        assert_eq!(blind(&grey(|x, y| if is_rod(x, y) { 180.0 } else { 2.0 }), &rod, true), None);
+        // Dark parts: a floor in full light may be white.
+        assert_eq!(blind(&grey(|_, _| 255.0), &empty, false), None);
+    }
+}
