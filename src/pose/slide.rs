@@ -41,7 +41,7 @@ const PLACES_A_THICKNESS: f64 = 2.0;
 /// Most places on the part and on each side of it.
 const PLACES_MAX: [usize; 2] = [512, (REACH_THICKNESSES * PLACES_A_THICKNESS) as usize];
 /// Places of the part that are as good as the best, to this much of one picture's place of wire with both outlines.
-const AS_GOOD: f64 = 0.5;
+const AS_GOOD: f64 = 0.25;
 
 /// What it says for a part that a place lies on it rather than beyond it. Of 77 parts in rendered heaps that show no end,
 /// anything near these ratios leaves half as many more than two thicknesses off as none would.
