@@ -5,11 +5,6 @@
 pub struct Shading {
     /// What the whole part seems displaced across, but for what a lamp at one side does to all parts.
     pub across: f64,
-    /// A lamp at one side moves both borders of the lit region that way, so much for each radius that the light between
-    /// them lies beside their middle: 1 to 2 on a matte cylinder, the more the sharper the picture is and the less
-    /// light comes from elsewhere. Of dark parts, whose shadow moves one of them, for each time that the shadow is as dark over the
-    /// floor as the wire.
-    pub across_per_skew: f64,
     /// Height above the axis of the line that is seen, between lamps: the whole part seems displaced along the line of
     /// sight.
     pub lift: f64,
@@ -27,10 +22,9 @@ impl Shading {
     /// The same on polished wire, whose bright line is not where light and shade of a dull one would be.
     pub fn polished(self) -> Self {
         const TIMES: f64 = 2.0;
-        let Self { across, across_per_skew, lift, turn_across, turn_lift, end, end_lift } = self;
+        let Self { across, lift, turn_across, turn_lift, end, end_lift } = self;
         Self {
             across: TIMES * across,
-            across_per_skew,
             lift: TIMES * lift,
             turn_across: TIMES * turn_across,
             turn_lift: TIMES * turn_lift,
@@ -42,14 +36,6 @@ impl Shading {
 
 impl Default for Shading {
     fn default() -> Self {
-        Self {
-            across: 0.02,
-            across_per_skew: 1.2,
-            lift: 0.07,
-            turn_across: 0.035,
-            turn_lift: 0.14,
-            end: 0.025,
-            end_lift: 0.15,
-        }
+        Self { across: 0.02, lift: 0.07, turn_across: 0.035, turn_lift: 0.14, end: 0.025, end_lift: 0.15 }
     }
 }

@@ -14,7 +14,7 @@ use crate::pose::section::LightAcross;
 use crate::pose::verify::{PieceSight, Sight, Verdict};
 
 /// Stations this many thicknesses apart are looked at, and of a short part so many at least.
-const SKEW_THICKNESSES: usize = 6;
+const APART_THICKNESSES: usize = 6;
 const PIECES_MIN: usize = 4;
 /// Weight of no displacement along a part's wire, where nothing is seen of it, against all that is seen across.
 const ALONG_WEIGHT: f64 = 0.02;
@@ -39,17 +39,17 @@ impl Light {
     /// On a part that pictures have this verdict on.
     pub(super) fn on(model: &PoseModel, verdict: &Verdict, views: &[View; 2]) -> Self {
         let (mut light, mut sums, mut counts) = (Self::default(), [0.0; 2], [0.0; 2]);
-        let step = (SKEW_THICKNESSES * model.per_thickness).min(verdict.pieces.len() / PIECES_MIN).max(1);
+        let step = (APART_THICKNESSES * model.per_thickness).min(verdict.pieces.len() / PIECES_MIN).max(1);
         for piece in verdict.pieces.iter().step_by(step) {
             for (side, view) in
                 views.iter().enumerate().filter(|(side, _)| piece[*side].sight == Sight::Clear)
             {
                 let PieceSight { expected_px, across, half_width_px, seen_px, .. } = piece[side];
                 let seen = seen_px.and_then(|px| view.profiler.light(expected_px, across, half_width_px, px));
-                let Some(LightAcross { above, skew }) = seen else { continue };
+                let Some(LightAcross { above, aside }) = seen else { continue };
                 let across = view.rotation.tr_mul(&across.push(0.0)).xy();
                 light.normal += across * across.transpose();
-                light.right_side += across * skew;
+                light.right_side += across * aside;
                 sums[side] += above;
                 counts[side] += 1.0;
             }
@@ -76,15 +76,14 @@ impl Light {
     }
 }
 
-/// How far the lamp displaces what is seen of wire, in radii along x and y of the left camera, `per_skew` for each half width
-/// that the light lies beside.
-pub(super) fn lamp_radii<'a>(lights: impl Iterator<Item = &'a Light>, per_skew: f64) -> Vector2<f64> {
+/// How far the lamp displaces what is seen of wire, in radii along x and y of the left camera.
+pub(super) fn lamp_radii<'a>(lights: impl Iterator<Item = &'a Light>) -> Vector2<f64> {
     let (mut normal, mut right_side) = (Matrix2::identity() * ABOVE_PARTS, Vector2::zeros());
     for light in lights {
         normal += light.normal;
         right_side += light.right_side;
     }
-    let lamp = normal.try_inverse().map_or(Vector2::zeros(), |inverse| inverse * right_side) * per_skew;
+    let lamp = normal.try_inverse().map_or(Vector2::zeros(), |inverse| inverse * right_side);
     lamp.cap_magnitude(LAMP_RADII_MAX)
 }
 
@@ -101,20 +100,21 @@ mod tests {
     #[test]
     fn rods_in_different_directions_tell_where_the_lamp_is() {
         let lamp = Vector2::new(0.1, -0.05);
-        let lights: Vec<Light> = (0..12)
-            .map(|k| {
+        let found_of = |lamp: Vector2<f64>| {
+            let across = |angle: f64| Vector2::new(-angle.sin(), angle.cos());
+            let light = |k: i32| {
                 let angle = 0.4 * f64::from(k);
-                straight(angle, lamp.dot(&Vector2::new(-angle.sin(), angle.cos())))
-            })
-            .collect();
-        let found = lamp_radii(lights.iter(), 1.0);
+                straight(angle, lamp.dot(&across(angle)))
+            };
+            lamp_radii((0..12).map(light).collect::<Vec<_>>().iter())
+        };
+        let found = found_of(lamp);
         assert!((found - lamp).norm() < 0.01, "{found}");
-        assert!((lamp_radii(lights.iter(), 1.2) - found * 1.2).norm() < 1e-9);
-        assert_eq!(lamp_radii([].iter(), 1.0), Vector2::zeros());
-        assert!((lamp_radii(lights.iter(), 99.0).norm() - LAMP_RADII_MAX).abs() < 1e-9);
+        assert_eq!(lamp_radii([].iter()), Vector2::zeros());
+        assert!((found_of(lamp * 99.0).norm() - LAMP_RADII_MAX).abs() < 1e-9);
         // One alone is not believed altogether, and displaced across only.
         let one = straight(0.0, 0.1);
-        let found = lamp_radii([one].iter(), 1.0);
+        let found = lamp_radii([one].iter());
         assert!(found.x == 0.0 && (0.06..0.09).contains(&found.y), "{found}");
         let displaced = one.displaced(&lamp);
         assert!(displaced.x.abs() < 1e-9 && (displaced.y - lamp.y).abs() < 0.002, "{displaced}");

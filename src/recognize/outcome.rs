@@ -30,7 +30,7 @@ impl Recognizer {
         explanations.press_apart(parts, &grasp::down_in_left(&params.grasp), &views);
         let prepared = |e: &Explanation| &parts[e.hypothesis.part];
         let lights = explanations.standing().map(|e| &e.light);
-        let lamp_radii = lamp_radii(lights, explanations.shading().across_per_skew);
+        let lamp_radii = lamp_radii(lights);
         let beside = explanations
             .standing()
             .map(|e| e.light.displaced(&lamp_radii) * -prepared(e).pose_model.radius_mm);

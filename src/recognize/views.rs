@@ -30,13 +30,7 @@ pub(super) fn lit(params: &Params) -> refine::Params {
             end_lift_radii: [0.93, -0.93],
             faces_like_wire: true,
             outline_ratio: 1.0,
-            shading: Shading {
-                across: 0.1,
-                across_per_skew: 0.25,
-                lift: 0.2,
-                end: 0.08,
-                ..Shading::default()
-            },
+            shading: Shading { across: 0.1, lift: 0.2, end: 0.08, ..Shading::default() },
             ..params.refine
         }
     } else {

@@ -232,15 +232,8 @@ mod tests {
 
     #[test]
     fn what_light_does_to_all_of_a_wire_does_not_average_out() {
-        let none = Shading {
-            across: 0.0,
-            lift: 0.0,
-            turn_across: 0.0,
-            turn_lift: 0.0,
-            end: 0.0,
-            end_lift: 0.0,
-            ..Shading::default()
-        };
+        let none =
+            Shading { across: 0.0, lift: 0.0, turn_across: 0.0, turn_lift: 0.0, end: 0.0, end_lift: 0.0 };
         let light = Shading::default();
         let (fit, all) = (spread(&none, true), spread(&light, true));
         let sigma = |c: &Matrix6<f64>, k: usize| c[(k, k)].sqrt();

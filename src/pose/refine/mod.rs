@@ -126,11 +126,6 @@ impl Refine {
         }
     }
 
-    /// What light does to the outlines.
-    pub fn shading(&self) -> &Shading {
-        &self.params.shading
-    }
-
     /// What both pictures show at every station of the part, at the pose of the last [`Refine::fine`].
     pub fn sightings(&self) -> &[[Option<Sighting>; 2]] {
         &self.sightings

@@ -19,7 +19,6 @@ use crate::matching::problem::StereoNode;
 use crate::matching::select::{self, Worth};
 use crate::part::NODES_MAX;
 use crate::pose::refine::{self, Fit, Refine, TurnSeen, View};
-use crate::pose::shading::Shading;
 use crate::pose::verify::{Verdict, verify};
 use crate::rig::Rig;
 use crate::time::Watch;
@@ -182,11 +181,6 @@ impl Explanations {
             taken.clear();
             taken.resize(nodes.len(), None);
         }
-    }
-
-    /// What light does to the outlines.
-    pub(super) fn shading(&self) -> Shading {
-        *self.refine.shading()
     }
 
     /// What is claimed: until the competition by what is certain, sound or whole, then by what stands.
