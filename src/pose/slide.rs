@@ -34,12 +34,12 @@ use super::model::PoseModel;
 use super::refine::{Refine, View};
 use super::verify::{Sight, sight_of};
 
-/// How far a part may be displaced, in thicknesses, each way.
-const REACH_THICKNESSES: f64 = 5.0;
-/// Places that are looked at for each thickness of wire, fewer on wire longer than [`PLACES_MAX`] leaves room for.
+/// Places that are looked at for each thickness of wire.
 const PLACES_A_THICKNESS: f64 = 2.0;
-/// Most places on the part and on each side of it.
-const PLACES_MAX: [usize; 2] = [512, (REACH_THICKNESSES * PLACES_A_THICKNESS) as usize];
+/// Most places on the part: on longer wire they lie farther apart.
+const PLACES_MAX: usize = 512;
+/// How far a part may be displaced, in places, each way: five thicknesses, if the places lie as near.
+const REACH: usize = 10;
 /// Places of the part that are as good as the best, to this much of one picture's place of wire with both outlines.
 const AS_GOOD: f64 = 0.25;
 
@@ -63,14 +63,13 @@ pub fn to_middle(
     views: &[View; 2],
 ) -> Option<Isometry3<f64>> {
     let along = model.straight_along?;
-    let step_mm = (2.0 * model.radius_mm / PLACES_A_THICKNESS).max(model.length_mm / PLACES_MAX[0] as f64);
+    let step_mm = (2.0 * model.radius_mm / PLACES_A_THICKNESS).max(model.length_mm / PLACES_MAX as f64);
     let inside = (model.length_mm / step_mm).round() as usize;
-    let reach = PLACES_MAX[1];
-    let count = inside + 2 * reach;
+    let count = inside + 2 * REACH;
     let (along, centre) = (pose.rotation * along, pose * model.centre_mm);
     let at = |place: f64| centre + along * ((place - (count as f64 - 1.0) / 2.0) * step_mm);
     // Sums of what all places before one say.
-    let mut sums: ArrayVec<f64, { PLACES_MAX[0] + 2 * PLACES_MAX[1] + 1 }> = ArrayVec::new();
+    let mut sums: ArrayVec<f64, { PLACES_MAX + 2 * REACH + 1 }> = ArrayVec::new();
     let mut sum = 0.0;
     sums.push(sum);
     for place in 0..count {
@@ -81,11 +80,11 @@ pub fn to_middle(
         sums.push(sum);
     }
     let worth = |first: usize| sums[first + inside] - sums[first];
-    let best = (0..=2 * reach).map(worth).fold(f64::NEG_INFINITY, f64::max);
+    let best = (0..=2 * REACH).map(worth).fold(f64::NEG_INFINITY, f64::max);
     let as_good = |first: &usize| worth(*first) >= best - AS_GOOD * gain(Sight::Clear);
-    let nearest = (0..=2 * reach).filter(as_good).min_by_key(|first| first.abs_diff(reach))?;
+    let nearest = (0..=2 * REACH).filter(as_good).min_by_key(|first| first.abs_diff(REACH))?;
     let first = (0..=nearest).rev().take_while(as_good).last()?;
-    let last = (nearest..=2 * reach).take_while(as_good).last()?;
-    let displaced = (first + last) as f64 / 2.0 - reach as f64;
+    let last = (nearest..=2 * REACH).take_while(as_good).last()?;
+    let displaced = (first + last) as f64 / 2.0 - REACH as f64;
     (displaced != 0.0).then(|| Translation3::from(along * (displaced * step_mm)) * pose)
 }

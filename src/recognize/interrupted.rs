@@ -14,7 +14,8 @@ const NOTCH_SHARE: f64 = 1.0;
 const ACROSS: [f64; 3] = [0.0, -0.35, 0.35];
 /// How far a notch may lie beyond the stations that it lies between, in pixels.
 const BEYOND_PX: f64 = 1.0;
-/// Cosine of the angle up to which wire is straight over four or five stations, and the least share of its length that a picture shows.
+/// Cosine of the angle up to which wire is straight over four or five stations, and the least share of its length that a picture
+/// shows.
 const STRAIGHT_COS: f64 = 0.9995;
 const LENGTH_SHARE_MIN: f64 = 0.7;
 
