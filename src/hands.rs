@@ -86,7 +86,7 @@ unsafe fn work_on<F: FnOnce() -> T, T>(job: *mut ()) {
     job.result = job.work.take().map(|work| catch_unwind(AssertUnwindSafe(work)));
 }
 
-/// Does `mine` here and `theirs` where `second` says, or here too.
+/// Does `mine` here and `theirs` in `second`'s thread, or here too where there is none.
 ///
 /// # Panics
 /// If one of them does.

@@ -2,7 +2,7 @@
 
 mod blind;
 
-use blind::{Blind, blind};
+use blind::blind;
 
 use crate::frame::{Frame, PixelFormat};
 use crate::matching::nodes::{ImageNode, ImageNodes};
@@ -172,6 +172,9 @@ impl Picture {
             return Err(Refusal::Size { side, width, height, rig_width, rig_height });
         }
         let begin = Timestamp::now();
+        if end.is_some_and(|end| begin >= end) {
+            return Ok(false);
+        }
         let raw = decoder.run(frame).map_err(|_| Refusal::Damaged { side })?;
         let decoded = Timestamp::now();
         stages.decode_ns += ns(begin, decoded);
@@ -188,11 +191,8 @@ impl Picture {
         binarize.run(seen, &mut sizes[0].mask).map_err(refused)?;
         let range = binarize.params();
         let is_bright_on_dark = !range.inverted && range.colour == ColourRange::Auto;
-        match blind(luma, &sizes[0].mask, is_bright_on_dark) {
-            Some(Blind::White) => return Err(Refusal::White { side }),
-            Some(Blind::Black) => return Err(Refusal::Black { side }),
-            Some(Blind::Noise) => return Err(Refusal::Noise { side }),
-            None => {}
+        if let Some(refusal) = blind(luma, &sizes[0].mask, is_bright_on_dark, side) {
+            return Err(refusal);
         }
         *halvings = 0;
         while let [whole, half, ..] = &mut sizes[*halvings..]

@@ -22,8 +22,8 @@
 //!
 //! So the exact search comes first: it finds all there is in twice the time in which the other finds one.
 //!
-//! The parts are searched one after the other by the exact search, and round by round in turn by the others, so that
-//! none takes the whole budget. What a search does depends on its seed and on how many iterations it made, not on the
+//! The exact search takes the parts one after the other, those with few nodes first, whose trees are small; the others take
+//! them round by round in turn, so that none takes the whole budget. What a search does depends on its seed and on how many iterations it made, not on the
 //! kind of budget: a run cut by the clock after n iterations is the run with a budget of n.
 //!
 //! ```

@@ -3,15 +3,8 @@
 use std::ops::RangeInclusive;
 
 use crate::frame::Frame;
+use crate::recognize::{Refusal, Side};
 use crate::vision::bits::BitImage;
-
-/// Why a picture shows nothing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Blind {
-    White,
-    Black,
-    Noise,
-}
 
 /// Luma of a camera that is saturated, and of one that sees no light: no floor is so dark, and no wire would stand out.
 const WHITE_LUMA: RangeInclusive<u8> = 250..=255;
@@ -36,14 +29,14 @@ const CALM_SHARE_MAX: f64 = 0.1;
 
 /// Why the picture shows nothing, if so. `luma` is grey, `mask` what the colours make of it; bright parts alone
 /// (`is_bright_on_dark`) are lost in white, dark ones may lie on a floor that is as bright as the camera sees.
-pub(super) fn blind(luma: &Frame, mask: &BitImage, is_bright_on_dark: bool) -> Option<Blind> {
+pub(super) fn blind(luma: &Frame, mask: &BitImage, is_bright_on_dark: bool, side: Side) -> Option<Refusal> {
     let is_empty = mask.words().iter().all(|&word| word == 0);
     if is_all_of(luma, BLACK_LUMA) && (is_empty || is_black_object(luma, mask)) {
-        return Some(Blind::Black);
+        return Some(Refusal::Black { side });
     }
     match is_empty {
-        true if is_bright_on_dark && is_all_of(luma, WHITE_LUMA) => Some(Blind::White),
-        true if is_noise(luma) => Some(Blind::Noise),
+        true if is_bright_on_dark && is_all_of(luma, WHITE_LUMA) => Some(Refusal::White { side }),
+        true if is_noise(luma) => Some(Refusal::Noise { side }),
         _ => None,
     }
 }
@@ -126,6 +119,9 @@ mod tests {
     use crate::vision::luma::LumaPlane;
 
     const SIZE: [usize; 2] = [640, 480];
+    const WHITE: Refusal = Refusal::White { side: Side::Right };
+    const BLACK: Refusal = Refusal::Black { side: Side::Right };
+    const NOISE: Refusal = Refusal::Noise { side: Side::Right };
 
     fn grey(mut level: impl FnMut(usize, usize) -> f64) -> Frame {
         let [width, height] = SIZE;
@@ -139,8 +135,8 @@ mod tests {
         (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0
     }
 
-    fn seen(luma: &Frame) -> Option<Blind> {
-        blind(luma, &BitImage::new(SIZE[0], SIZE[1]), true)
+    fn seen(luma: &Frame) -> Option<Refusal> {
+        blind(luma, &BitImage::new(SIZE[0], SIZE[1]), true, Side::Right)
     }
 
     #[test]
@@ -148,7 +144,7 @@ mod tests {
         let mut random = Pcg32::seed_from_u64(1);
         let noise = |mean: f64, sigma: f64, random: &mut Pcg32| grey(|_, _| mean + sigma * normal(random));
         for (mean, sigma) in [(60.0, 40.0), (100.0, 10.0), (20.0, 30.0)] {
-            assert_eq!(seen(&noise(mean, sigma, &mut random)), Some(Blind::Noise), "{mean} {sigma}");
+            assert_eq!(seen(&noise(mean, sigma, &mut random)), Some(NOISE), "{mean} {sigma}");
         }
         // What is left of it after a camera's JPEG of middling quality.
         let mut jpeg = Vec::new();
@@ -156,10 +152,10 @@ mod tests {
             .encode(&noise(60.0, 40.0, &mut random).bytes, 640, 480, image::ExtendedColorType::L8)
             .unwrap();
         let decoded = image::load_from_memory(&jpeg).unwrap().into_luma8().into_raw();
-        assert_eq!(seen(&Frame::from_grey(640, 480, decoded)), Some(Blind::Noise));
+        assert_eq!(seen(&Frame::from_grey(640, 480, decoded)), Some(NOISE));
         let rgb = (0..640 * 480 * 3).map(|_| random.random::<u8>()).collect();
         let rgb = Frame::from_rgb(640, 480, rgb);
-        assert_eq!(seen(LumaPlane::new(640, 480).run(&rgb, rgb.encoding)), Some(Blind::Noise));
+        assert_eq!(seen(LumaPlane::new(640, 480).run(&rgb, rgb.encoding)), Some(NOISE));
         // An even floor with the noise of a good camera, and one with much of it whose light falls off by a fifth.
         assert_eq!(seen(&noise(100.0, 3.0, &mut random)), None);
         let uneven = grey(|x, _| 100.0 * (1.0 - 0.2 * x as f64 / 640.0) + 10.0 * normal(&mut random));
@@ -186,8 +182,8 @@ mod tests {
                 );
             }
         }
-        assert_eq!(seen(&grey(|x, y| if x == y { 0.0 } else { 253.0 })), Some(Blind::White));
-        assert_eq!(seen(&grey(|x, y| if x == y { 99.0 } else { ((x * y) % 4) as f64 })), Some(Blind::Black));
+        assert_eq!(seen(&grey(|x, y| if x == y { 0.0 } else { 253.0 })), Some(WHITE));
+        assert_eq!(seen(&grey(|x, y| if x == y { 99.0 } else { ((x * y) % 4) as f64 })), Some(BLACK));
     }
 
     #[test]
@@ -197,15 +193,18 @@ mod tests {
         (0..height).for_each(|y| (0..width).for_each(|x| all.set(x, y, true)));
         for is_bright_on_dark in [false, true] {
             for mask in [&all, &empty] {
-                assert_eq!(blind(&grey(|_, _| 3.0), mask, is_bright_on_dark), Some(Blind::Black));
+                assert_eq!(blind(&grey(|_, _| 3.0), mask, is_bright_on_dark, Side::Right), Some(BLACK));
             }
         }
         // A bright rod on black velvet, less than a hundredth of the picture.
         let is_rod = |x: usize, y: usize| (200..300).contains(&x) && (100..105).contains(&y);
         let mut rod = BitImage::new(width, height);
         (100..105).for_each(|y| (200..300).for_each(|x| rod.set(x, y, true)));
-        assert_eq!(blind(&grey(|x, y| if is_rod(x, y) { 180.0 } else { 2.0 }), &rod, true), None);
+        assert_eq!(
+            blind(&grey(|x, y| if is_rod(x, y) { 180.0 } else { 2.0 }), &rod, true, Side::Right),
+            None
+        );
         // Dark parts: a floor in full light may be white.
-        assert_eq!(blind(&grey(|_, _| 255.0), &empty, false), None);
+        assert_eq!(blind(&grey(|_, _| 255.0), &empty, false, Side::Right), None);
     }
 }

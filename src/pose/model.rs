@@ -12,7 +12,8 @@ const DENSE_THICKNESSES_MAX: f64 = 128.0;
 
 /// From this angle in radians on, over a thickness, a wire bends.
 const BEND_RAD: f64 = 0.09;
-/// A straight piece strays from the line between its ends by less than this share of its length, times eight.
+/// A straight piece turns by less than this from one end to the other, in radians: it strays from the line between them by an
+/// eighth of that share of its length.
 const STRETCH_RAD_MAX: f64 = 0.15;
 
 /// A point of the centreline at which the wire's place in the pictures is measured.

@@ -1,7 +1,8 @@
 //! Where a wire lies across a line in the picture, to a fraction of a pixel.
 //!
 //! A profile of grey values across the wire falls from the wire's level to the background's on both sides; the
-//! outline is taken where it has fallen half the way, of polished wire farther down (see [`gloss`](super::gloss)).
+//! outline is taken where it has fallen half the way, of polished wire farther down (see [`gloss`](super::gloss)), of
+//! dark wire a little less far, for shadows lie below.
 
 use std::ops::Range;
 

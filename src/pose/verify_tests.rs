@@ -9,16 +9,20 @@ use crate::part::Part;
 use crate::pose::drawn::DrawnPair;
 use crate::pose::refine::Params;
 
-/// What a drawn pair says of a rod that lies just there.
-fn verdict() -> Verdict {
-    let part = Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts/rod-90.toml");
-    let rod = PoseModel::new(&Part::read(part).unwrap());
+fn rod(name: &str) -> PoseModel {
+    let part = Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts").join(name);
+    PoseModel::new(&Part::read(part).unwrap())
+}
+
+/// What a drawn pair says of a rod of 90 mm just where this one lies.
+fn verdict_on(lying: &PoseModel) -> Verdict {
+    let long = rod("rod-90.toml");
     let truth = Isometry3::new(Vector3::new(20.0, -10.0, 470.0), Vector3::z() * 0.9);
-    let drawn = DrawnPair::new(&[(&rod, truth)]);
+    let drawn = DrawnPair::new(&[(lying, truth)]);
     let mut refine = Refine::new(Params { lift_radii: 0.0, ..Params::default() }, &drawn.rig);
-    let fit = refine.fine(&rod, &truth, &drawn.views()).unwrap();
+    let fit = refine.fine(&long, &truth, &drawn.views()).unwrap();
     let mut verdict = Verdict::default();
-    verify(&refine, &rod, &[], &fit.left_from_part, &drawn.views(), &mut verdict);
+    verify(&refine, &long, &[], &fit.left_from_part, &drawn.views(), &mut verdict);
     verdict
 }
 
@@ -33,7 +37,7 @@ fn fitness(verdict: &Verdict, nodes_unseen: usize) -> (f64, usize) {
 #[test]
 fn each_term_alone_reaches_the_largest_fitness_allowed() {
     let fitness_max = search::Params::default().fitness_max;
-    let good = verdict();
+    let good = verdict_on(&rod("rod-90.toml"));
     let (of_good, large) = fitness(&good, 0);
     assert!(of_good < 0.1 * fitness_max && large == 0, "{of_good}");
     // Four ends seen, each 21 pixels from where it should be; two do as well as four.
@@ -61,18 +65,8 @@ fn each_term_alone_reaches_the_largest_fitness_allowed() {
 
 #[test]
 fn wire_that_is_drawn_elsewhere_is_missing_and_refused() {
-    let part = Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts/rod-90.toml");
-    let rod = PoseModel::new(&Part::read(part).unwrap());
-    let short = Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts/rod-60.toml");
-    let short = PoseModel::new(&Part::read(short).unwrap());
-    let truth = Isometry3::new(Vector3::new(20.0, -10.0, 470.0), Vector3::z() * 0.9);
-    let drawn = DrawnPair::new(&[(&short, truth)]);
-    let mut refine = Refine::new(Params { lift_radii: 0.0, ..Params::default() }, &drawn.rig);
-    // A longer rod on a shorter one's wire: a third of it is floor.
-    let fit = refine.fine(&rod, &truth, &drawn.views()).unwrap();
-    let mut verdict = Verdict::default();
-    verify(&refine, &rod, &[], &fit.left_from_part, &drawn.views(), &mut verdict);
-    let terms = verdict.terms(0);
+    // On the wire of a shorter rod: a third of it is floor.
+    let terms = verdict_on(&rod("rod-60.toml")).terms(0);
     assert!((0.25..0.4).contains(&terms.missing), "{terms:?}");
     assert!(terms.missing * Weights::default().missing > 0.5, "{terms:?}");
 }

@@ -3,7 +3,7 @@
 //!
 //! A lamp at one side lights round wire farther on that side: the middle between both borders of the lit region lies beside
 //! the axis, so many radii towards the lamp. In one bin that is the same for all parts. Light within those borders lies still
-//! farther towards the lamp, and so tells how far they do. A piece of wire tells what is across it, in each picture; those
+//! farther towards the lamp, and so tells how far they do; beside dark parts their shadow does. A piece of wire tells what is across it, in each picture; those
 //! that lie in different directions together tell all.
 
 use nalgebra::{Matrix2, Vector2, Vector3};

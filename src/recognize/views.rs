@@ -50,11 +50,11 @@ pub(super) fn outline_256<'a>(
     nodes: impl Iterator<Item = &'a StereoNode>,
     thinnest_mm: f64,
 ) -> u8 {
-    let mut depths_mm: ArrayVec<f64, DEPTHS_MAX> =
-        nodes.map(|node| node.point_mm.z).take(DEPTHS_MAX).collect();
     if views.iter().any(|view| view.profiler.dark_parts()) {
         return DARK_OUTLINE_256;
     }
+    let mut depths_mm: ArrayVec<f64, DEPTHS_MAX> =
+        nodes.map(|node| node.point_mm.z).take(DEPTHS_MAX).collect();
     if depths_mm.is_empty() {
         return HALF_WAY;
     }

@@ -24,10 +24,10 @@ const AS_A_RULE: f64 = 0.25;
 const WIDTHS: u32 = 24;
 /// Two parts at the same place whose worth differs by less, in mm, cannot be told apart.
 const TELL_APART_MM: f64 = 2.0;
-/// Of wire thinner than this in a picture, in pixels, the width says nothing: blur makes it up.
-const TELLING_PX_MIN: f64 = 3.0;
 /// Their nodes are nearer than this then, in mm, in the mean.
 const SAME_PLACE_MM: f64 = 4.0;
+/// Of wire thinner than this in a picture, in pixels, the width says nothing: blur makes it up.
+const TELLING_PX_MIN: f64 = 3.0;
 
 impl Prepared {
     /// Whether another part has about the same shape as this one, and may be of other wire.
@@ -87,17 +87,19 @@ impl Explanations {
     pub(super) fn may_be_kin(&self, index: usize, parts: &[Prepared]) -> bool {
         let standing = &self.list[index];
         let part = standing.hypothesis.part;
+        if !self.have_kin[part] {
+            return false;
+        }
         let (prepared, pose) = (&parts[part], &standing.fit.left_from_part);
         let thinnest_px = standing.verdict.pieces.iter().flatten().map(|seen| 2.0 * seen.half_width_px);
         let is_thin = thinnest_px.fold(f64::INFINITY, f64::min) < TELLING_PX_MIN;
         let tell_apart_mm = if is_thin { f64::INFINITY } else { TELL_APART_MM };
-        self.have_kin[part]
-            && self.all().iter().any(|e| {
-                let other = &parts[e.hypothesis.part];
-                prepared.is_kin(other)
-                    && e.alone.now_mm > standing.alone.now_mm - tell_apart_mm
-                    && ends_apart_mm([prepared, other], [pose, &e.fit.left_from_part]) < SAME_PLACE_MM
-            })
+        self.all().iter().any(|e| {
+            let other = &parts[e.hypothesis.part];
+            prepared.is_kin(other)
+                && e.alone.now_mm > standing.alone.now_mm - tell_apart_mm
+                && ends_apart_mm([prepared, other], [pose, &e.fit.left_from_part]) < SAME_PLACE_MM
+        })
     }
 }
 
