@@ -171,6 +171,15 @@ pub fn is_proven(model: &PoseModel, fit: &Fit, verdict: &Verdict, overrun_mm: f6
     is_held && verdict.end_offset_px < END_OFFSET_PX_MAX && fit.misfit < MISFIT_MAX && !verdict.is_narrow
 }
 
+/// Of what shows no end, from this share of its length on both outlines must be seen in either picture.
+const ENDLESS_CLEAR_MIN: f64 = 0.35;
+
+/// Whether what is not proved is likely no part: it shows no end, and hardly more of its wire, or a narrower one. That is what
+/// shadows, rims and lines look like that are longer than the part.
+pub fn is_unlikely(verdict: &Verdict) -> bool {
+    verdict.ends_shown == 0 && (verdict.is_narrow || verdict.clear.iter().any(|c| *c < ENDLESS_CLEAR_MIN))
+}
+
 /// What an explanation is worth, in mm of wire.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Worth {
@@ -324,5 +333,13 @@ mod tests {
         assert!(proven("hook.toml", 1.2, 0) && !proven("hook.toml", 1.6, 2));
         assert!(proven("rod-90.toml", 1.2, 2) && !proven("rod-90.toml", 1.2, 1));
         assert!(!proven("rod-90.toml", 1.6, 2));
+    }
+
+    #[test]
+    fn what_shows_no_end_is_a_part_if_more_of_its_wire_is_seen() {
+        let verdict =
+            |ends_shown, clear, is_narrow| Verdict { ends_shown, clear, is_narrow, ..Verdict::default() };
+        assert!(is_unlikely(&verdict(0, [0.9, 0.3], false)) && is_unlikely(&verdict(0, [0.9; 2], true)));
+        assert!(!is_unlikely(&verdict(0, [0.9, 0.4], false)) && !is_unlikely(&verdict(1, [0.3; 2], true)));
     }
 }

@@ -111,6 +111,30 @@ fn crossing(a: [Point3<f64>; 2], b: [Point3<f64>; 2], down: &Vector3<f64>) -> Op
     (inside(shares.x) && inside(shares.y)).then(|| [a[0] + u * shares.x, b[0] + v * shares.y])
 }
 
+/// Whether two parts at these poses (from their frames to the left camera's) lie lengthwise in each other, as no wires do:
+/// further than both are thick along each other, with less than half of what radii allow between their axes.
+pub fn overlap(a: (&PoseModel, &Isometry3<f64>), b: (&PoseModel, &Isometry3<f64>)) -> bool {
+    let radii_mm = a.0.radius_mm + b.0.radius_mm;
+    let piece = |pose: &Isometry3<f64>, piece: &[Point3<f64>; 2]| piece.map(|end| pose * end);
+    a.0.straight_mm.iter().any(|of_a| {
+        let [from, to] = piece(a.1, of_a);
+        let length_mm = (to - from).norm();
+        let along = (to - from) / length_mm;
+        b.0.straight_mm.iter().any(|of_b| {
+            let [start, end] = piece(b.1, of_b);
+            let other = (end - start).normalize();
+            let reach_mm = [start, end].map(|point| (point - from).dot(&along).clamp(0.0, length_mm));
+            let is_beside = |at_mm: f64| {
+                let away = from + along * at_mm - start;
+                (away - other * away.dot(&other)).norm() < radii_mm / 2.0
+            };
+            along.cross(&other).norm() < CROSSING_SIN_MIN
+                && (reach_mm[0] - reach_mm[1]).abs() > 2.0 * radii_mm
+                && reach_mm.into_iter().all(is_beside)
+        })
+    })
+}
+
 fn press(
     a: &mut Placed,
     b: &mut Placed,
@@ -227,6 +251,20 @@ mod tests {
         assert_eq!(pressed([496.9, 500.0], [1.0, 0.1], 1.2, Some(true)), ([496.9, 500.0], 1.0));
         assert_eq!(pressed([499.5, 500.0], [0.3, 0.1], 1.2, Some(true)).0[0], 499.5, "one of them is wrong");
         assert!(pressed([f64::NAN, 500.0], [0.3, 0.3], 1.2, Some(true)).0[1] == 500.0);
+    }
+
+    #[test]
+    fn no_wire_lies_in_another() {
+        let model = rod();
+        let first = lying(0.0, 500.0);
+        let overlaps = |x_mm: f64, y_mm: f64, yaw: f64| {
+            let other = Translation3::new(x_mm, y_mm, 0.0) * lying(yaw, 500.5);
+            overlap((&model, &first), (&model, &other)) && overlap((&model, &other), (&model, &first))
+        };
+        assert!(overlaps(50.0, 0.5, 0.0) && overlaps(-50.0, 0.5, std::f64::consts::PI));
+        assert!(!overlaps(50.0, 3.0, 0.0), "beside each other");
+        assert!(!overlaps(89.0, 0.0, 0.0), "end to end");
+        assert!(!overlaps(0.0, 0.0, 0.1) && !overlaps(0.0, 0.0, 1.0), "across");
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! The competition of explanations for the wire, and what is done to those that stand.
 
+use arrayvec::ArrayVec;
 use nalgebra::Vector3;
 
 use super::{Explanation, Explanations};
@@ -13,6 +14,7 @@ use crate::pose::slide;
 use crate::pose::verify::verify;
 use crate::recognize::lamp::Light;
 use crate::recognize::prepared::Prepared;
+use crate::recognize::result::PARTS_MAX;
 use crate::time::Watch;
 
 /// How often one that stands is dropped for others, at most.
@@ -21,7 +23,7 @@ const EXCHANGES_MAX: usize = 8;
 /// explain the wire, that with fewer parts is likelier.
 const EXCHANGE_MM: f64 = 1.0;
 const PART_MM: f64 = 10.0;
-/// Wire that stands out from the background by less than this share of what all proven parts do is of something else.
+/// Wire that stands out from the background by less than this share of what proven parts do in the median is of something else.
 const DIM_SHARE: f64 = 0.5;
 /// What is worth this share of its wire is nearly whole.
 const NEARLY_WHOLE: f64 = 0.98;
@@ -83,7 +85,7 @@ impl Explanations {
             *light = Light::on(&parts[hypothesis.part].pose_model, verdict, views);
         }
         self.prove(parts);
-        if self.drop_dim() {
+        if self.drop_unlikely(parts) {
             self.prove(parts);
         }
         in_time
@@ -101,15 +103,31 @@ impl Explanations {
         }
     }
 
-    /// Drops those in doubt that stand out from the background much less than all that are proven: no parts, but a bin's rim,
-    /// say; says whether there were any.
-    fn drop_dim(&mut self) -> bool {
+    /// Drops those in doubt that are likely no parts at all, but a bin's rim, a wall's shadow, a line on the floor: they
+    /// stand out from the background much less than what is proven, or show no end and hardly more of their wire, or lie in
+    /// another. Says whether there were any.
+    fn drop_unlikely(&mut self, parts: &[Prepared]) -> bool {
         let (list, before) = (&self.list, self.standing.len());
         let above = |index: &usize| list[*index].light.above();
         let proven = self.standing.iter().filter(|index| list[**index].is_proven);
-        let Some(dimmest) = proven.filter_map(above).reduce(f64::min) else { return false };
-        let is_dim = |index: &usize| above(index).is_some_and(|above| above < DIM_SHARE * dimmest);
-        self.standing.retain(|index| list[*index].is_proven || !is_dim(index));
+        let mut proven_above: ArrayVec<f64, PARTS_MAX> = proven.filter_map(above).collect();
+        proven_above.sort_unstable_by(f64::total_cmp);
+        let usual = proven_above.get(proven_above.len() / 2);
+        let is_dim =
+            |index: &usize| above(index).zip(usual).is_some_and(|(above, usual)| above < DIM_SHARE * usual);
+        let placed = |index: usize| {
+            let Explanation { hypothesis, fit, .. } = &list[index];
+            (&parts[hypothesis.part].pose_model, &fit.left_from_part)
+        };
+        self.tried.clone_from(&self.standing);
+        let lies_in_another = |&index: &usize| {
+            let others = self.tried.iter().filter(|&&other| other != index);
+            others.copied().any(|other| contact::overlap(placed(index), placed(other)))
+        };
+        self.standing.retain(|index| {
+            list[*index].is_proven
+                || !is_dim(index) && !select::is_unlikely(&list[*index].verdict) && !lies_in_another(index)
+        });
         let are_dropped = self.standing.len() < before;
         if are_dropped {
             self.claim_standing();

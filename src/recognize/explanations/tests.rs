@@ -253,3 +253,19 @@ fn what_is_in_doubt_and_much_dimmer_than_a_proven_part_is_none() {
     assert!(!has_stretch(&[a, b, whole], dim), "much dimmer");
     assert!(has_stretch(&[a, b], dim), "of nothing it is known how bright parts are");
 }
+
+#[test]
+fn wire_longer_than_the_part_is_not_two_parts_that_lie_in_each_other() {
+    let camera = CameraModel::pinhole(640, 480, 1150.0, 320.0, 240.0);
+    let rig = Rig { left: camera, right: camera, right_from_left: Isometry3::translation(-60.0, 0.0, 0.0) };
+    let along = Vector3::new(0.5, 0.8, 0.0).normalize();
+    let at = |mm: f64| Point3::new(30.0, 0.0, 500.0) + along * mm;
+    let mut recognizer = Recognizer::new(Params::default(), rig, vec![rod("rod-75", 75.0)]).unwrap();
+    let mut count = |length_mm: f64| {
+        let mut found = Recognition::default();
+        let pair = drawn(&rig, &[[at(-length_mm / 2.0), at(length_mm / 2.0)]]);
+        recognizer.run(&pair, Budget::Iterations(100_000), 1, &mut found).unwrap();
+        found.parts.len()
+    };
+    assert_eq!([75.0, 115.0, 150.0].map(&mut count), [1, 0, 2], "one, something else, two end to end");
+}
