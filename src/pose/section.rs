@@ -53,6 +53,8 @@ impl Section {
 pub struct LightAcross {
     /// How much lighter (dark parts: darker) it is in the mean than at the borders, in grey levels.
     pub above: f64,
+    /// The same over that of the brightest place between them: less where a bright line runs along a dull wire.
+    pub full: f64,
     /// How far the middle between the outlines lies beside the axis, in half widths of the wire, as the light between them tells,
     /// and of dark parts the shadow beyond them; nought where the lamp is above the wire.
     pub aside: f64,
@@ -174,12 +176,13 @@ impl<'a> Profiler<'a> {
         self.luma.read_lines(&[(middle - reach).into()], step.into(), &mut light, LIGHT_STEPS + 1);
         let light = light[0].map(|l| self.sign * f64::from(l));
         let floor = (light[0] + light[LIGHT_STEPS]) / 2.0;
-        let (mut sum, mut moment) = (0.0, 0.0);
+        let (mut sum, mut moment, mut most) = (0.0, 0.0, 0f64);
         for (k, light) in light.iter().enumerate().take(LIGHT_STEPS).skip(1) {
             let share = 2.0 * k as f64 / LIGHT_STEPS as f64 - 1.0;
             let above = (light - floor).max(0.0);
             sum += above;
             moment += above * share;
+            most = most.max(above);
         }
         if sum <= 0.0 {
             return None;
@@ -193,7 +196,7 @@ impl<'a> Profiler<'a> {
             let blurred = if self.is_polished() { 0.0 } else { ASIDE_BLURRED_PX2 / half_width_px.powi(2) };
             skew * blurred.max(ASIDE_PER_SKEW)
         };
-        Some(LightAcross { above, aside })
+        Some(LightAcross { above, full: above / most, aside })
     }
 
     /// How dark it is in the mean just beyond an outline, so far from the middle of a dark wire, outwards.

@@ -10,7 +10,6 @@ use nalgebra::{Matrix2, Vector2, Vector3};
 
 use crate::pose::model::PoseModel;
 use crate::pose::refine::View;
-use crate::pose::section::LightAcross;
 use crate::pose::verify::{PieceSight, Sight, Verdict};
 
 /// Stations this many thicknesses apart are looked at, and of a short part so many at least.
@@ -33,12 +32,14 @@ pub(super) struct Light {
     right_side: Vector2<f64>,
     /// By how many grey levels it stands out in each picture, in the mean; `None` where nothing of it is seen clearly.
     pub(super) above_in: [Option<f64>; 2],
+    /// How full it is between its outlines, see [`LightAcross::full`], in the mean.
+    pub(super) full: Option<f64>,
 }
 
 impl Light {
     /// On a part that pictures have this verdict on.
     pub(super) fn on(model: &PoseModel, verdict: &Verdict, views: &[View; 2]) -> Self {
-        let (mut light, mut sums, mut counts) = (Self::default(), [0.0; 2], [0.0; 2]);
+        let (mut light, mut sums, mut counts, mut full) = (Self::default(), [0.0; 2], [0.0; 2], 0.0);
         let step = (APART_THICKNESSES * model.per_thickness).min(verdict.pieces.len() / PIECES_MIN).max(1);
         for piece in verdict.pieces.iter().step_by(step) {
             for (side, view) in
@@ -46,17 +47,19 @@ impl Light {
             {
                 let PieceSight { expected_px, across, half_width_px, seen_px, .. } = piece[side];
                 let seen = seen_px.and_then(|px| view.profiler.light(expected_px, across, half_width_px, px));
-                let Some(LightAcross { above, aside }) = seen else { continue };
+                let Some(across_it) = seen else { continue };
                 let across = view.rotation.tr_mul(&across.push(0.0)).xy();
                 light.normal += across * across.transpose();
-                light.right_side += across * aside;
-                sums[side] += above;
+                light.right_side += across * across_it.aside;
+                sums[side] += across_it.above;
+                full += across_it.full;
                 counts[side] += 1.0;
             }
         }
         let count = counts[0] + counts[1];
         if count > 0.0 {
             (light.normal, light.right_side) = (light.normal / count, light.right_side / count);
+            light.full = Some(full / count);
         }
         light.above_in = [0, 1].map(|side: usize| (counts[side] > 0.0).then(|| sums[side] / counts[side]));
         light
@@ -94,7 +97,7 @@ mod tests {
     /// Straight wire in this direction, displaced so much across.
     fn straight(angle: f64, across_radii: f64) -> Light {
         let across = Vector2::new(-angle.sin(), angle.cos());
-        Light { normal: across * across.transpose(), right_side: across * across_radii, above_in: [None; 2] }
+        Light { normal: across * across.transpose(), right_side: across * across_radii, ..Light::default() }
     }
 
     #[test]

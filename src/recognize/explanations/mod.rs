@@ -63,6 +63,8 @@ pub(super) struct Explanation {
     has_claimed: bool,
     /// Whether its wire is settled for all parts that are not longer.
     is_settled: bool,
+    /// How wide its wire is seen in its light, where that may tell it from another part.
+    width_ratio: Option<f64>,
     /// What speaks against the thickness of its wire, in mm.
     kin_mm: f64,
     /// What it is worth with nothing claimed.
@@ -147,6 +149,7 @@ impl Explanations {
             overrun_mm: 0.0,
             has_claimed: false,
             is_settled: false,
+            width_ratio: None,
             kin_mm: 0.0,
             alone: Worth::NONE,
             worth: (0, Worth::NONE),
@@ -305,6 +308,7 @@ impl Explanations {
             }
         }
         let index = self.count;
+        self.list[index].width_ratio = self.width_in_its_light(index, scene);
         self.count += 1;
         if select::is_certain(&fit, &self.list[index].verdict, model.ends.len()) {
             self.claim(index);
