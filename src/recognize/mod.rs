@@ -171,11 +171,6 @@ impl Recognizer {
         &self.rig
     }
 
-    /// The parts, in the order of [`FoundPart::part`].
-    pub fn parts(&self) -> impl ExactSizeIterator<Item = &Part> {
-        self.parts.iter().map(|p| &p.part)
-    }
-
     /// What the stages made of the last pair: left, right.
     pub fn pictures(&self) -> &[Picture; 2] {
         &self.pictures

@@ -90,8 +90,6 @@ pub enum NoPick {
     Nothing(Nothing),
     /// The result came after the deadline.
     Late,
-    /// The cell is configured without an arm.
-    NoArm,
     /// The arm is not connected.
     ArmAbsent,
     /// The arm is on hold.
@@ -120,7 +118,7 @@ pub enum NoPick {
 
 impl NoPick {
     /// All reasons in words; [`NoPick::kind`] is an index into it.
-    pub const KINDS: [&str; 22] = [
+    pub const KINDS: [&str; 21] = [
         "bin empty",
         "nothing recognised",
         "all blocked",
@@ -130,7 +128,6 @@ impl NoPick {
         "no base_from_left",
         "cameras mixed up",
         "too late",
-        "no arm",
         "arm not connected",
         "on hold",
         "controller in alarm",
@@ -150,19 +147,18 @@ impl NoPick {
         match self {
             NoPick::Nothing(nothing) => *nothing as usize,
             NoPick::Late => 8,
-            NoPick::NoArm => 9,
-            NoPick::ArmAbsent => 10,
-            NoPick::OnHold => 11,
-            NoPick::InAlarm => 12,
-            NoPick::ArmNotReady => 13,
-            NoPick::ArmBusy => 14,
-            NoPick::NotClear => 15,
-            NoPick::SlotNotSaved => 16,
-            NoPick::PlaceFull => 17,
-            NoPick::AllDeferred => 18,
-            NoPick::Gate(_) => 19,
-            NoPick::Stopping => 20,
-            NoPick::Superseded => 21,
+            NoPick::ArmAbsent => 9,
+            NoPick::OnHold => 10,
+            NoPick::InAlarm => 11,
+            NoPick::ArmNotReady => 12,
+            NoPick::ArmBusy => 13,
+            NoPick::NotClear => 14,
+            NoPick::SlotNotSaved => 15,
+            NoPick::PlaceFull => 16,
+            NoPick::AllDeferred => 17,
+            NoPick::Gate(_) => 18,
+            NoPick::Stopping => 19,
+            NoPick::Superseded => 20,
         }
     }
 }
