@@ -118,7 +118,7 @@ pub enum NoPick {
 
 impl NoPick {
     /// All reasons in words; [`NoPick::kind`] is an index into it.
-    pub const KINDS: [&str; 21] = [
+    pub const KINDS: [&str; 24] = [
         "bin empty",
         "nothing recognised",
         "all blocked",
@@ -127,6 +127,9 @@ impl NoPick {
         "picture over limits",
         "no base_from_left",
         "cameras mixed up",
+        "picture white all over",
+        "picture black all over",
+        "picture is noise",
         "too late",
         "arm not connected",
         "on hold",
@@ -146,19 +149,19 @@ impl NoPick {
     pub fn kind(&self) -> usize {
         match self {
             NoPick::Nothing(nothing) => *nothing as usize,
-            NoPick::Late => 8,
-            NoPick::ArmAbsent => 9,
-            NoPick::OnHold => 10,
-            NoPick::InAlarm => 11,
-            NoPick::ArmNotReady => 12,
-            NoPick::ArmBusy => 13,
-            NoPick::NotClear => 14,
-            NoPick::SlotNotSaved => 15,
-            NoPick::PlaceFull => 16,
-            NoPick::AllDeferred => 17,
-            NoPick::Gate(_) => 18,
-            NoPick::Stopping => 19,
-            NoPick::Superseded => 20,
+            NoPick::Late => 11,
+            NoPick::ArmAbsent => 12,
+            NoPick::OnHold => 13,
+            NoPick::InAlarm => 14,
+            NoPick::ArmNotReady => 15,
+            NoPick::ArmBusy => 16,
+            NoPick::NotClear => 17,
+            NoPick::SlotNotSaved => 18,
+            NoPick::PlaceFull => 19,
+            NoPick::AllDeferred => 20,
+            NoPick::Gate(_) => 21,
+            NoPick::Stopping => 22,
+            NoPick::Superseded => 23,
         }
     }
 }
