@@ -319,7 +319,7 @@ fn level_lines(
         let [Some(a), Some(b)] = l.rays.map(|ray| on_level(&ray, at, down)) else { continue };
         let Some(along) = (b - a).try_normalize(1e-9) else { continue };
         let length = (b - a).norm();
-        // The seen end is the place itself; the other is as far as the left picture shows.
+        // The seen end is the place itself. The other is as far as the left picture shows: where the right one does, the slope says.
         let origin_mm = if k == 0 { *at } else { at - along * length };
         keep(SpaceLine { origin_mm, along, seen_mm: [[0.0, length]; 2] });
     }
