@@ -24,13 +24,14 @@
 //! let left = seen(&|p| rig.project_left(p).unwrap(), 0.0, 40.0);
 //! let right = seen(&|p| rig.project_right(p).unwrap(), 10.0, 60.0);
 //!
-//! let mut lines = Lines::new(Params::default(), 16);
+//! let mut lines = Lines::new(Params { lines_max: 1, ..Params::default() }, 16);
 //! let mut looking = Budget::Iterations(0).looks(1.0); // takes all time it needs
 //! lines.run(&rig, [[&left].into_iter(), [&right].into_iter()], &Vector3::z(), 0.7, &mut looking);
 //! let line = lines.lines()[0];
 //! let wire = (at(60.0) - at(0.0)).normalize();
 //! assert!(line.along.cross(&wire).norm() < 1e-6);
 //! assert!((at(20.0) - line.origin_mm).cross(&line.along).norm() < 1e-6, "the wire lies on the line");
+//! assert!(lines.is_full(), "another would not have found room");
 //! ```
 
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
@@ -128,6 +129,11 @@ impl Lines {
     /// The lines of the last run.
     pub fn lines(&self) -> &[SpaceLine] {
         &self.lines
+    }
+
+    /// Whether there was no room for more in the last run, so that some may have been left out.
+    pub fn is_full(&self) -> bool {
+        self.lines.len() == self.params.lines_max
     }
 
     /// Lists the lines that stretches of both pictures show, not steeper than `slope_sin_max` against `down`, until time is

@@ -236,10 +236,10 @@ impl Recognizer {
         self.explanations.clear(self.pictures.each_ref().map(Picture::nodes));
         looking.set_again(*budget, LOOK_SHARE);
         let mut all_looked_at = self.explain(pair, false, looking);
-        if all_looked_at && !looking.is_over() && self.search_ends(looking) {
+        if all_looked_at && !looking.is_over() && self.search_ends(looking, out) {
             all_looked_at = self.explain(pair, true, looking);
         }
-        if all_looked_at && !looking.is_over() && self.search_ridges(pair, looking) {
+        if all_looked_at && !looking.is_over() && self.search_ridges(pair, looking, out) {
             all_looked_at = self.explain(pair, true, looking);
         }
         all_looked_at &= !looking.is_over();
@@ -328,7 +328,7 @@ impl Recognizer {
 
     /// Fills the pool with rough poses of bent parts that ends hold which no explanation has; says whether there are any. As
     /// what is looked at, they cost time, but no iterations.
-    fn search_ends(&mut self, looking: &mut Watch) -> bool {
+    fn search_ends(&mut self, looking: &mut Watch, out: &mut Recognition) -> bool {
         let Self { pictures, scales, parts, search, pool, params, explanations, .. } = self;
         let rig = rig_of(scales, pictures);
         let [left, right] = [pictures[0].nodes(), pictures[1].nodes()];
@@ -360,13 +360,14 @@ impl Recognizer {
                 }
             }
         }
+        out.out_of_time |= pool.len() == HYPOTHESES_MAX;
         pool.sort_unstable_by(|a, b| a.fitness.total_cmp(&b.fitness));
         !pool.is_empty()
     }
 
     /// Fills the pool with rough poses that straight wire holds which nothing explains for certain; says whether there
     /// are any.
-    fn search_ridges(&mut self, pair: &FramePair, looking: &mut Watch) -> bool {
+    fn search_ridges(&mut self, pair: &FramePair, looking: &mut Watch, out: &mut Recognition) -> bool {
         // A little that is amiss with a part is no reason to look; but who looks, looks at that as well.
         let half_px = self.pictures.each_ref().map(Picture::half_width_px);
         for nearly in [true, false] {
@@ -408,6 +409,9 @@ impl Recognizer {
             let judge = prepared.judge(rig, pictures, params);
             lines.hypotheses(index, &judge, looking, pool);
         }
+        // What there was no room for has not been looked at.
+        out.out_of_time |=
+            ridges.iter().any(Ridges::is_full) || lines.is_full() || pool.len() == HYPOTHESES_MAX;
         let slope_rad_max = params.slope_rad_max;
         pool.retain(|h| !parts[h.part].is_too_steep(&h.left_from_part, &down, slope_rad_max));
         pool.sort_unstable_by(|a, b| a.fitness.total_cmp(&b.fitness));
