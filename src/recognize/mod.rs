@@ -193,13 +193,13 @@ impl Recognizer {
         let mut stages = StageTimes::default();
         if budget == Budget::Repeated(Spent::ON_PICTURES) || !self.look(pair, budget.end(), &mut stages)? {
             (out.out_of_time, out.no_pick, out.spent) = (true, Some(NoPick::OutOfTime), Spent::ON_PICTURES);
-            stages.total_ns = Timestamp::now().since(begin).max(0) as u64;
+            stages.total_ns = Timestamp::now().ns_since(begin);
             out.stages = stages;
             return Ok(());
         }
         let looked_at = Timestamp::now();
         let told_by_ends = self.turn_told_by_ends()?;
-        stages.match_ns = Timestamp::now().since(looked_at).max(0) as u64;
+        stages.match_ns = Timestamp::now().ns_since(looked_at);
         let nodes = |p: &Picture| p.graph().nodes.len();
         (out.nodes_left, out.nodes_right) = (nodes(&self.pictures[0]), nodes(&self.pictures[1]));
         let (looking, exchanging) = (budget.looks(LOOK_SHARE), budget.exchanges(COMPETE_SHARE));
@@ -219,8 +219,8 @@ impl Recognizer {
         }
         out.no_pick = self.no_pick(out);
         let end = Timestamp::now();
-        stages.pose_ns += end.since(recognised).max(0) as u64;
-        stages.total_ns = end.since(begin).max(0) as u64;
+        stages.pose_ns += end.ns_since(recognised);
+        stages.total_ns = end.ns_since(begin);
         out.stages = stages;
         Ok(())
     }
@@ -245,8 +245,8 @@ impl Recognizer {
         all_looked_at &= !looking.is_over();
         exchanging.set_again(*budget, COMPETE_SHARE);
         let in_time = self.compete(pair, exchanging, out) && all_looked_at;
-        stages.match_ns += matched.since(begin).max(0) as u64;
-        stages.pose_ns += Timestamp::now().since(matched).max(0) as u64;
+        stages.match_ns += matched.ns_since(begin);
+        stages.pose_ns += Timestamp::now().ns_since(matched);
         in_time
     }
 

@@ -47,7 +47,7 @@ mod points;
 
 use nalgebra::{Matrix2, Vector2};
 
-use super::bits::{BitImage, nearest};
+use super::bits::{BitImage, nearest, vector};
 use crate::frame::LumaView;
 use crate::level::Level;
 use crate::time::Timestamp;
@@ -238,10 +238,6 @@ impl Ridges {
 
 fn pixel_of(at: [f32; 2], width: usize) -> usize {
     (at[1].round() as usize) * width + at[0].round() as usize
-}
-
-fn vector(p: [f32; 2]) -> Vector2<f64> {
-    Vector2::new(p[0].into(), p[1].into())
 }
 
 /// The line through points, in the least-squares sense.
