@@ -55,7 +55,7 @@ impl AsFd for Waker {
 ///
 /// # Panics
 /// With more than four descriptors, or none.
-pub fn wait_readable(fds: &[BorrowedFd<'_>], timeout: Option<Duration>) {
+fn wait_readable(fds: &[BorrowedFd<'_>], timeout: Option<Duration>) {
     assert!((1..=4).contains(&fds.len()), "1 to 4 descriptors to wait for");
     let timeout = timeout.map(|t| Timespec {
         tv_sec: i64::try_from(t.as_secs()).unwrap_or(i64::MAX),

@@ -97,8 +97,8 @@ impl Traced {
             in_time = self.image_nodes.run(graph, mask, &self.rays, end)?;
             self.half_width_px = half_width_px(graph, &mut self.widths);
         }
-        stages.thin_ns += ns(begin, thinned);
-        stages.graph_ns += ns(thinned, Timestamp::now());
+        stages.thin_ns += thinned.ns_since(begin);
+        stages.graph_ns += Timestamp::now().ns_since(thinned);
         Ok(in_time)
     }
 
@@ -121,10 +121,6 @@ fn half_width_px(graph: &Graph, widths: &mut Vec<(f32, usize)>) -> f64 {
         4 * below >= all
     });
     f64::from(quarter.map_or(HALF_WIDTH_PX_MAX, |(half, _)| half.min(HALF_WIDTH_PX_MAX)))
-}
-
-fn ns(from: Timestamp, to: Timestamp) -> u64 {
-    to.since(from).max(0) as u64
 }
 
 impl Picture {
@@ -177,7 +173,7 @@ impl Picture {
         }
         let raw = decoder.run(frame).map_err(|_| Refusal::Damaged { side })?;
         let decoded = Timestamp::now();
-        stages.decode_ns += ns(begin, decoded);
+        stages.decode_ns += decoded.ns_since(begin);
         if end.is_some_and(|end| decoded >= end) {
             return Ok(false);
         }
@@ -202,7 +198,7 @@ impl Picture {
             halve_luma(if *halvings == 0 { luma } else { &whole.plane }, &mut half.plane);
             *halvings += 1;
         }
-        stages.binarize_ns += ns(decoded, Timestamp::now());
+        stages.binarize_ns += Timestamp::now().ns_since(decoded);
         let mut in_time = self.trace(self.halvings, frame, side, end, stages)?;
         while in_time && self.halvings > 0 && 2.0 * self.half_width_px() < HALVED_PX_MIN {
             in_time = self.trace(self.halvings - 1, frame, side, end, stages)?;

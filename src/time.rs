@@ -30,6 +30,11 @@ impl Timestamp {
         self.0.saturating_sub(earlier.0)
     }
 
+    /// Nanoseconds from `earlier` to `self`; 0 where `earlier` is the later one.
+    pub fn ns_since(self, earlier: Timestamp) -> u64 {
+        self.since(earlier).max(0).unsigned_abs()
+    }
+
     /// `self` moved by `duration` into the future.
     pub fn after(self, duration: Duration) -> Self {
         Self(self.0.saturating_add(i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX)))

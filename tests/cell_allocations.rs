@@ -78,7 +78,6 @@ fn nothing_is_allocated_between_two_pairs() {
         iterations: Some(5000),
         seed: 1,
         repeated: Vec::new(),
-        has_arm: true,
         first_id: 1,
         place: None,
         record: PlaceRecord::default(),

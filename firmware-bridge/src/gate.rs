@@ -6,7 +6,7 @@
 //! dialect asks it when a pick comes and **again when its bytes are made**; driver and bridge both do.
 
 use crate::config::Settings;
-use crate::message::{ArmAxes, Pick, Pose, Refusal, Waypoint};
+use crate::message::{ArmAxes, Pick, Pose, Refusal, Waypoint, distance_mm};
 
 /// How far a quaternion's squared norm may be from 1.
 const NORM_TOLERANCE: f64 = 1e-3;
@@ -157,10 +157,6 @@ impl Gate {
         }
         Ok(())
     }
-}
-
-fn distance_mm(a: [f64; 3], b: [f64; 3]) -> f64 {
-    (a[0] - b[0]).hypot(a[1] - b[1]).hypot(a[2] - b[2])
 }
 
 #[cfg(test)]

@@ -55,6 +55,10 @@ impl Pose {
     }
 }
 
+pub(crate) fn distance_mm(a: [f64; 3], b: [f64; 3]) -> f64 {
+    (a[0] - b[0]).hypot(a[1] - b[1]).hypot(a[2] - b[2])
+}
+
 /// When the two pictures were taken that a pick rests on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Seen {

@@ -1,26 +1,19 @@
-//! The arm of the cell: `enum` [`Arm`] over firmware-bridge's links.
+//! The arm of the cell: [`Arm`] over firmware-bridge's links.
 //!
 //! Takes commands, gives reports; owns the link. Driven by one thread. A session with messages of an arm is
 //! answered by [`Arm::recorded`]; one without gets the simulated one, which is a link like the others: same dialect, same gate, same bytes, only the far end is made up.
 
 use std::os::fd::BorrowedFd;
-use std::time::Duration;
 
 use firmware_bridge::config::Settings;
 use firmware_bridge::link::{Answers, Link, LinkError};
 use firmware_bridge::message::{Command, Refusal, Report};
 
-use crate::handover::wait_readable;
 use crate::time::Timestamp;
 
-/// The arm, or none.
+/// The arm: serial line, shared memory, the recorded or the simulated one, as `[arm]` says.
 #[derive(Debug)]
-pub enum Arm {
-    /// The cell only looks.
-    None,
-    /// Serial line, shared memory, the recorded or the simulated arm, as `[arm]` says.
-    Linked(Box<Link>),
-}
+pub struct Arm(pub Box<Link>);
 
 impl Arm {
     /// Opens the link that `[arm]` names.
@@ -28,7 +21,7 @@ impl Arm {
     /// # Errors
     /// What is missing or taken, with the remedy.
     pub fn open(settings: &Settings, session_seed: u32) -> Result<Self, LinkError> {
-        Ok(Arm::Linked(Box::new(Link::open(settings, session_seed)?)))
+        Ok(Self(Box::new(Link::open(settings, session_seed)?)))
     }
 
     /// Like [`Arm::open`], but a serial port that is not there or cannot be opened yet is waited for, as one that was
@@ -37,28 +30,24 @@ impl Arm {
     /// # Errors
     /// What else is missing or taken, with the remedy.
     pub fn open_or_wait(settings: &Settings, session_seed: u32) -> Result<Self, LinkError> {
-        Ok(Arm::Linked(Box::new(Link::open_or_wait(settings, session_seed)?)))
+        Ok(Self(Box::new(Link::open_or_wait(settings, session_seed)?)))
     }
 
     /// The arm of a recorded session, which answers the n-th target as it answered its n-th.
     pub fn recorded(settings: &Settings, answers: Answers, session_seed: u32) -> Self {
-        Arm::Linked(Box::new(Link::recorded(settings, answers, session_seed)))
+        Self(Box::new(Link::recorded(settings, answers, session_seed)))
     }
 
     /// Makes a simulated arm move so many times as fast as an ordinary one; others stay as they are.
     pub fn hasten(&mut self, tempo: f64) {
-        if let Arm::Linked(link) = self
-            && let Link::Simulated(link) = &mut **link
-        {
+        if let Link::Simulated(link) = &mut *self.0 {
             link.arm().set_tempo(tempo);
         }
     }
 
     /// Ends the faults of a simulated arm; others stay as they are.
     pub fn heal(&mut self) {
-        if let Arm::Linked(link) = self
-            && let Link::Simulated(link) = &mut **link
-        {
+        if let Link::Simulated(link) = &mut *self.0 {
             link.arm().heal();
         }
     }
@@ -68,36 +57,21 @@ impl Arm {
     /// # Errors
     /// Why it was not taken.
     pub fn command(&mut self, command: Command, now: Timestamp) -> Result<(), Refusal> {
-        match self {
-            Arm::None => Err(Refusal::NotConnected),
-            Arm::Linked(link) => link.command(command, now.0),
-        }
+        self.0.command(command, now.0)
     }
 
     /// The next thing that the arm says.
     pub fn poll(&mut self, now: Timestamp) -> Option<Report> {
-        match self {
-            Arm::None => None,
-            Arm::Linked(link) => link.poll(now.0),
-        }
+        self.0.poll(now.0)
     }
 
     /// The latest moment to poll again.
     pub fn next_poll(&self) -> Option<Timestamp> {
-        match self {
-            Arm::None => None,
-            Arm::Linked(link) => link.next_deadline_ns().map(Timestamp),
-        }
+        self.0.next_deadline_ns().map(Timestamp)
     }
 
     /// Sleeps until `until`, until the arm says something, or until `wake` can be read.
     pub fn wait(&self, until: Timestamp, wake: BorrowedFd<'_>) {
-        match self {
-            Arm::None => {
-                let left = until.since(Timestamp::now()).max(0);
-                wait_readable(&[wake], Some(Duration::from_nanos(left as u64)));
-            }
-            Arm::Linked(link) => link.wait(until.0, Some(wake)),
-        }
+        self.0.wait(until.0, Some(wake));
     }
 }

@@ -227,10 +227,10 @@ impl ReplayCamera {
                 due <= give_up
             }
             Pace::Stepped(wakers) => {
-                let left = give_up.since(Timestamp::now()).max(0);
+                let left_ns = give_up.ns_since(Timestamp::now());
                 let Some(previous) = self.previous else { return true };
-                let woken = wakers[self.side.index()].wait(Some(Duration::from_nanos(left as u64)));
-                if woken && left > 0 {
+                let woken = wakers[self.side.index()].wait(Some(Duration::from_nanos(left_ns)));
+                if woken && left_ns > 0 {
                     self.take_breath(previous);
                 }
                 woken

@@ -22,7 +22,7 @@
 //! let mut pairing = Pairing::new(13_000_000); // of a camera with 30 frames a second
 //! assert!(pairing.run(frame(Side::Left, 100)).pair.is_none());
 //! let pair = pairing.run(frame(Side::Right, 103)).pair.unwrap();
-//! assert_eq!((pair.number, pair.skew_ns()), (1, 3_000_000));
+//! assert_eq!((pair.number, pair.right.timestamp.since(pair.left.timestamp)), (1, 3_000_000));
 //! // the right camera left one out: the waiting left frame will never have a partner
 //! pairing.run(frame(Side::Left, 133));
 //! let late = pairing.run(frame(Side::Right, 170));
@@ -73,11 +73,6 @@ impl Pair {
     /// Time stamp of the older frame: deadlines count from it.
     pub fn earliest(&self) -> Timestamp {
         self.left.timestamp.min(self.right.timestamp)
-    }
-
-    /// Right minus left, ns.
-    pub fn skew_ns(&self) -> i64 {
-        self.right.timestamp.since(self.left.timestamp)
     }
 }
 
@@ -158,7 +153,6 @@ mod tests {
             assert_eq!(pairing.run(frame(first, 100, 0)).pair, None);
             let pair = pairing.run(frame(second, 110, 1)).pair.unwrap();
             assert_eq!((pair.left.side, pair.right.side, pair.number), (Side::Left, Side::Right, 1));
-            assert_eq!(pair.skew_ns(), if first == Side::Left { 10 } else { -10 });
             assert_eq!(pair.earliest(), Timestamp(100));
         }
     }

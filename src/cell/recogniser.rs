@@ -17,16 +17,19 @@ pub fn recognise(recognizer: &mut Recognizer, work: &mut Work, in_base: bool) ->
     let result = recognizer.run(&file.pair, job.budget, job.seed, &mut file.recognition);
     file.refusal = result.err();
     file.finished = Timestamp::now();
-    match &file.refusal {
-        Some(Refusal::Binarize { reason: binarize::Refusal::Specks { .. }, .. }) => {
-            Found::nothing(Nothing::OverLimits)
+    file.refusal.map_or_else(|| found(file, in_base), |refusal| Found::nothing(nothing_in(&refusal)))
+}
+
+fn nothing_in(refusal: &Refusal) -> Nothing {
+    match refusal {
+        Refusal::Graph { .. } | Refusal::Binarize { reason: binarize::Refusal::Specks { .. }, .. } => {
+            Nothing::OverLimits
         }
-        Some(Refusal::Size { .. } | Refusal::Damaged { .. } | Refusal::Binarize { .. }) => {
-            Found::nothing(Nothing::BadPicture)
-        }
-        Some(Refusal::Same | Refusal::Exchanged) => Found::nothing(Nothing::MixedUp),
-        Some(_) => Found::nothing(Nothing::OverLimits),
-        None => found(file, in_base),
+        Refusal::Size { .. } | Refusal::Damaged { .. } | Refusal::Binarize { .. } => Nothing::BadPicture,
+        Refusal::Same | Refusal::Exchanged => Nothing::MixedUp,
+        Refusal::White { .. } => Nothing::White,
+        Refusal::Black { .. } => Nothing::Black,
+        Refusal::Noise { .. } => Nothing::Noise,
     }
 }
 
@@ -71,9 +74,23 @@ mod tests {
     use nalgebra::{UnitQuaternion, Vector3};
 
     use super::*;
+    use crate::cell::core;
     use crate::grasp::Placed;
     use crate::part::Part;
     use crate::pose::model::PoseModel;
+    use crate::recognize::Side;
+
+    #[test]
+    fn a_picture_that_shows_nothing_is_told_as_what_it_is() {
+        let side = Side::Right;
+        let told = |refusal| core::NoPick::Nothing(nothing_in(&refusal)).to_string();
+        assert_eq!(told(Refusal::White { side }), "picture white all over");
+        assert_eq!(told(Refusal::Black { side }), "picture black all over");
+        assert_eq!(told(Refusal::Noise { side }), "picture is noise");
+        let reason = binarize::Refusal::Specks { specks_max: 1 };
+        assert_eq!(told(Refusal::Binarize { side, reason }), "picture over limits");
+        assert_eq!(core::NoPick::Late.to_string(), "too late");
+    }
 
     #[test]
     fn a_part_is_told_by_where_its_file_has_the_grasp_wherever_it_is_taken() {

@@ -24,13 +24,14 @@
 //! let left = seen(&|p| rig.project_left(p).unwrap(), 0.0, 40.0);
 //! let right = seen(&|p| rig.project_right(p).unwrap(), 10.0, 60.0);
 //!
-//! let mut lines = Lines::new(Params::default(), 16);
+//! let mut lines = Lines::new(Params { lines_max: 1, ..Params::default() }, 16);
 //! let mut looking = Budget::Iterations(0).looks(1.0); // takes all time it needs
 //! lines.run(&rig, [[&left].into_iter(), [&right].into_iter()], &Vector3::z(), 0.7, &mut looking);
 //! let line = lines.lines()[0];
 //! let wire = (at(60.0) - at(0.0)).normalize();
 //! assert!(line.along.cross(&wire).norm() < 1e-6);
 //! assert!((at(20.0) - line.origin_mm).cross(&line.along).norm() < 1e-6, "the wire lies on the line");
+//! assert!(lines.is_full(), "another would not have found room");
 //! ```
 
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
@@ -128,6 +129,11 @@ impl Lines {
     /// The lines of the last run.
     pub fn lines(&self) -> &[SpaceLine] {
         &self.lines
+    }
+
+    /// Whether there was no room for more in the last run, so that some may have been left out.
+    pub fn is_full(&self) -> bool {
+        self.lines.len() == self.params.lines_max
     }
 
     /// Lists the lines that stretches of both pictures show, not steeper than `slope_sin_max` against `down`, until time is
@@ -319,7 +325,7 @@ fn level_lines(
         let [Some(a), Some(b)] = l.rays.map(|ray| on_level(&ray, at, down)) else { continue };
         let Some(along) = (b - a).try_normalize(1e-9) else { continue };
         let length = (b - a).norm();
-        // The seen end is the place itself; the other is as far as the left picture shows.
+        // The seen end is the place itself. The other is as far as the left picture shows: where the right one does, the slope says.
         let origin_mm = if k == 0 { *at } else { at - along * length };
         keep(SpaceLine { origin_mm, along, seen_mm: [[0.0, length]; 2] });
     }

@@ -39,7 +39,7 @@ use nalgebra::Vector2;
 use crate::pose::section::mask_run;
 use crate::rig::{CameraModel, UndistortTable};
 use crate::time::Timestamp;
-use crate::vision::bits::BitImage;
+use crate::vision::bits::{BitImage, vector};
 use crate::vision::graph::{Graph, NONE, NodeKind, Refusal};
 
 /// Most directions kept of one node.
@@ -298,10 +298,6 @@ impl ImageNodes {
             self.nodes.push(node);
         }
     }
-}
-
-fn vector<T: Copy + Into<f64>>(p: [T; 2]) -> Vector2<f64> {
-    Vector2::new(p[0].into(), p[1].into())
 }
 
 fn angle_between(a: Vector2<f64>, b: Vector2<f64>) -> f64 {

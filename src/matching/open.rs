@@ -118,10 +118,3 @@ fn work_out(params: &GateParams, pictures: &Pictures, l: usize, r: usize) -> Can
         None => Candidate::unexplained(l, r),
     }
 }
-
-impl<'a> Pictures<'a> {
-    /// Of image nodes and a geometry.
-    pub fn new(geometry: &'a StereoGeometry, left: &'a [ImageNode], right: &'a [ImageNode]) -> Self {
-        Self { geometry, nodes: [left, right] }
-    }
-}

@@ -171,11 +171,6 @@ impl Recognizer {
         &self.rig
     }
 
-    /// The parts, in the order of [`FoundPart::part`].
-    pub fn parts(&self) -> impl ExactSizeIterator<Item = &Part> {
-        self.parts.iter().map(|p| &p.part)
-    }
-
     /// What the stages made of the last pair: left, right.
     pub fn pictures(&self) -> &[Picture; 2] {
         &self.pictures
@@ -198,13 +193,13 @@ impl Recognizer {
         let mut stages = StageTimes::default();
         if budget == Budget::Repeated(Spent::ON_PICTURES) || !self.look(pair, budget.end(), &mut stages)? {
             (out.out_of_time, out.no_pick, out.spent) = (true, Some(NoPick::OutOfTime), Spent::ON_PICTURES);
-            stages.total_ns = Timestamp::now().since(begin).max(0) as u64;
+            stages.total_ns = Timestamp::now().ns_since(begin);
             out.stages = stages;
             return Ok(());
         }
         let looked_at = Timestamp::now();
         let told_by_ends = self.turn_told_by_ends()?;
-        stages.match_ns = Timestamp::now().since(looked_at).max(0) as u64;
+        stages.match_ns = Timestamp::now().ns_since(looked_at);
         let nodes = |p: &Picture| p.graph().nodes.len();
         (out.nodes_left, out.nodes_right) = (nodes(&self.pictures[0]), nodes(&self.pictures[1]));
         let (looking, exchanging) = (budget.looks(LOOK_SHARE), budget.exchanges(COMPETE_SHARE));
@@ -224,8 +219,8 @@ impl Recognizer {
         }
         out.no_pick = self.no_pick(out);
         let end = Timestamp::now();
-        stages.pose_ns += end.since(recognised).max(0) as u64;
-        stages.total_ns = end.since(begin).max(0) as u64;
+        stages.pose_ns += end.ns_since(recognised);
+        stages.total_ns = end.ns_since(begin);
         out.stages = stages;
         Ok(())
     }
@@ -241,17 +236,17 @@ impl Recognizer {
         self.explanations.clear(self.pictures.each_ref().map(Picture::nodes));
         looking.set_again(*budget, LOOK_SHARE);
         let mut all_looked_at = self.explain(pair, false, looking);
-        if all_looked_at && !looking.is_over() && self.search_ends(looking) {
+        if all_looked_at && !looking.is_over() && self.search_ends(looking, out) {
             all_looked_at = self.explain(pair, true, looking);
         }
-        if all_looked_at && !looking.is_over() && self.search_ridges(pair, looking) {
+        if all_looked_at && !looking.is_over() && self.search_ridges(pair, looking, out) {
             all_looked_at = self.explain(pair, true, looking);
         }
         all_looked_at &= !looking.is_over();
         exchanging.set_again(*budget, COMPETE_SHARE);
         let in_time = self.compete(pair, exchanging, out) && all_looked_at;
-        stages.match_ns += matched.since(begin).max(0) as u64;
-        stages.pose_ns += Timestamp::now().since(matched).max(0) as u64;
+        stages.match_ns += matched.ns_since(begin);
+        stages.pose_ns += Timestamp::now().ns_since(matched);
         in_time
     }
 
@@ -333,7 +328,7 @@ impl Recognizer {
 
     /// Fills the pool with rough poses of bent parts that ends hold which no explanation has; says whether there are any. As
     /// what is looked at, they cost time, but no iterations.
-    fn search_ends(&mut self, looking: &mut Watch) -> bool {
+    fn search_ends(&mut self, looking: &mut Watch, out: &mut Recognition) -> bool {
         let Self { pictures, scales, parts, search, pool, params, explanations, .. } = self;
         let rig = rig_of(scales, pictures);
         let [left, right] = [pictures[0].nodes(), pictures[1].nodes()];
@@ -365,13 +360,14 @@ impl Recognizer {
                 }
             }
         }
+        out.out_of_time |= pool.len() == HYPOTHESES_MAX;
         pool.sort_unstable_by(|a, b| a.fitness.total_cmp(&b.fitness));
         !pool.is_empty()
     }
 
     /// Fills the pool with rough poses that straight wire holds which nothing explains for certain; says whether there
     /// are any.
-    fn search_ridges(&mut self, pair: &FramePair, looking: &mut Watch) -> bool {
+    fn search_ridges(&mut self, pair: &FramePair, looking: &mut Watch, out: &mut Recognition) -> bool {
         // A little that is amiss with a part is no reason to look; but who looks, looks at that as well.
         let half_px = self.pictures.each_ref().map(Picture::half_width_px);
         for nearly in [true, false] {
@@ -413,6 +409,9 @@ impl Recognizer {
             let judge = prepared.judge(rig, pictures, params);
             lines.hypotheses(index, &judge, looking, pool);
         }
+        // What there was no room for has not been looked at.
+        out.out_of_time |=
+            ridges.iter().any(Ridges::is_full) || lines.is_full() || pool.len() == HYPOTHESES_MAX;
         let slope_rad_max = params.slope_rad_max;
         pool.retain(|h| !parts[h.part].is_too_steep(&h.left_from_part, &down, slope_rad_max));
         pool.sort_unstable_by(|a, b| a.fitness.total_cmp(&b.fitness));

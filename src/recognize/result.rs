@@ -291,7 +291,7 @@ pub struct Recognition {
     pub seed: u64,
     /// What of the budget was used up.
     pub spent: Spent,
-    /// Whether the budget was spent before the search was through.
+    /// Whether the search was cut short: its budget was spent, or there was more than it has room for.
     pub out_of_time: bool,
     /// What the parts tell of the calibration; `None` without parts.
     pub turned: Option<Turned>,

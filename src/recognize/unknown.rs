@@ -15,7 +15,7 @@ use crate::matching::select;
 use crate::picture::Picture;
 use crate::pose::verify::{PieceSight, Sight};
 use crate::rig::Rig;
-use crate::vision::bits::nearest;
+use crate::vision::bits::{nearest, vector};
 
 /// In half widths of the wire: nearer to the middle of one of its pieces, which are two apart, the skeleton is its own; and
 /// within which the middle of another wire would touch it, half as many again for what thinning displaces.
@@ -65,7 +65,8 @@ impl Unknown {
             let unknown_px = &mut self.left_and_right_px[side];
             unknown_px.clear();
             let points = pictures[side].graph().points.iter();
-            unknown_px.extend(points.filter(|&&point| !claims[side].is_claimed_by_any(point)).map(place));
+            unknown_px
+                .extend(points.filter(|&&point| !claims[side].is_claimed_by_any(point)).map(|&p| vector(p)));
         }
     }
 
@@ -88,11 +89,7 @@ impl Unknown {
 }
 
 fn skeleton(picture: &Picture) -> impl Iterator<Item = Vector2<f64>> {
-    picture.graph().points.iter().map(place)
-}
-
-fn place(point: &[u16; 2]) -> Vector2<f64> {
-    Vector2::from(point.map(f64::from))
+    picture.graph().points.iter().map(|&p| vector(p))
 }
 
 impl Taken<'_> {

@@ -104,7 +104,7 @@ impl Votes {
         self.votes = Some(for_none);
         let are_far_more =
             |votes: u32| votes >= for_none + MORE_MIN && f64::from(votes) >= TIMES_MIN * f64::from(for_none);
-        // Nothing can have more.
+        // Of no more ends can the like be in the other picture; several that share one tell no turn.
         if !are_far_more(self.ends[0].len().min(self.ends[1].len()) as u32) {
             return Ok(None);
         }

@@ -5,6 +5,19 @@ use nalgebra::{Matrix2, Matrix3, Point3, Vector2, Vector3};
 use super::Rig;
 
 /// The stereo geometry of a [`Rig`], worked out once for the hot path.
+///
+/// ```
+/// # let rig = pickcell::rig::Rig::read(concat!(env!("CARGO_MANIFEST_DIR"), "/replay/conveyor/calibration.yaml"))?;
+/// let geometry = rig.geometry();
+/// let point = nalgebra::Point3::new(12.0, -7.0, 480.0);
+/// let left = rig.left.undistort(rig.project_left(&point).unwrap());
+/// let right = rig.right.undistort(rig.project_right(&point).unwrap());
+/// assert!(right.push(1.0).dot(&(geometry.essential * left.push(1.0))).abs() < 1e-6);
+/// // A pixel lower in the right picture, the two need no more than that to agree.
+/// let lower = right + nalgebra::Vector2::new(0.0, 1.0 / rig.right.fy);
+/// assert!((0.6..1.0).contains(&geometry.epipolar_offset_px(left, lower).abs()));
+/// # Ok::<(), pickcell::rig::RigError>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StereoGeometry {
     /// Rotation of `right_from_left`.

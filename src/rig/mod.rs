@@ -66,17 +66,6 @@ impl Rig {
         StereoGeometry::new(self)
     }
 
-    /// `E` of `x_rightᵀ E x_left = 0` for normalised coordinates, T in mm.
-    pub fn essential(&self) -> Matrix3<f64> {
-        self.geometry().essential
-    }
-
-    /// Distance of two image points from being pictures of one point, in pixels, 0 or more; see
-    /// [`StereoGeometry::epipolar_offset_px`].
-    pub fn epipolar_distance_px(&self, left_norm: Vector2<f64>, right_norm: Vector2<f64>) -> f64 {
-        self.geometry().epipolar_offset_px(left_norm, right_norm).abs()
-    }
-
     /// The point that explains both image points best; see [`StereoGeometry::triangulate`].
     pub fn triangulate(&self, left_norm: Vector2<f64>, right_norm: Vector2<f64>) -> Option<Triangulated> {
         self.geometry().triangulate(left_norm, right_norm)
@@ -85,6 +74,14 @@ impl Rig {
     /// Covariance in mm² of a triangulated point of the left camera's frame, where every image coordinate has
     /// independent noise of `sigma_px`: σ² (JᵀJ)⁻¹ with the Jacobian of all four coordinates. `None` where the
     /// cameras do not fix the point (not in front of both, on the baseline, at infinity).
+    ///
+    /// ```
+    /// # let rig = pickcell::rig::Rig::read(concat!(env!("CARGO_MANIFEST_DIR"), "/replay/conveyor/calibration.yaml"))?;
+    /// let covariance = rig.triangulation_covariance(&nalgebra::Point3::new(0.0, 0.0, 480.0), 0.2).unwrap();
+    /// let [across_mm, along_mm] = [covariance.m22, covariance.m33].map(f64::sqrt);
+    /// assert!(across_mm < 0.15 && along_mm > 3.0 * across_mm, "depth is known least");
+    /// # Ok::<(), pickcell::rig::RigError>(())
+    /// ```
     pub fn triangulation_covariance(
         &self,
         point_left_mm: &Point3<f64>,

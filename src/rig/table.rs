@@ -57,16 +57,6 @@ impl UndistortTable {
         self.error_px
     }
 
-    /// Distance of the grid's points in pixels.
-    pub fn step_px(&self) -> f64 {
-        self.step_px
-    }
-
-    /// The camera whose pixels it undistorts.
-    pub fn camera(&self) -> &CameraModel {
-        &self.camera
-    }
-
     /// Distorted pixels to normalised image coordinates.
     #[inline]
     pub fn undistort(&self, px: Vector2<f64>) -> Vector2<f64> {

@@ -85,8 +85,9 @@ fn undistortion_triangulation_and_essential_matrix_are_opencvs() {
     let theirs = Point3::new(-66.3811213375143, 60.45399145852732, 435.57295870180894);
     assert!((seen.point_left_mm - theirs).norm() < 1e-4, "{seen:?}");
     assert!((seen.residual_px - 2.1192813331688414).abs() < 1e-6, "{seen:?}");
-    assert!((rig.epipolar_distance_px(left, right) - seen.residual_px).abs() < 0.01);
-    let e = rig.essential();
+    let geometry = rig.geometry();
+    assert!((geometry.epipolar_offset_px(left, right).abs() - seen.residual_px).abs() < 0.01);
+    let e = geometry.essential;
     assert!((e[(1, 2)] - 64.42172953701296).abs() < 1e-9 && (e[(2, 0)] - 1.8639962926988778).abs() < 1e-9);
 }
 
@@ -187,7 +188,7 @@ proptest! {
         fs::write(&path, text).unwrap();
         if let Ok(rig) = Rig::read(&path) {
             let corner = rig.left.undistort(Vector2::new(639.0, 479.0));
-            prop_assert!(rig.essential().iter().chain(corner.iter()).all(|v| v.is_finite()), "{rig:?}");
+            prop_assert!(rig.geometry().essential.iter().chain(corner.iter()).all(|v| v.is_finite()), "{rig:?}");
         }
     }
 

@@ -120,11 +120,6 @@ impl RecordingWriter {
         })
     }
 
-    /// The file.
-    pub fn path(&self) -> &Path {
-        &self.path
-    }
-
     /// The cell's time as wall time, ns.
     pub fn wall_ns(&self, at: Timestamp) -> i64 {
         at.0.saturating_add(self.wall_from_cell_ns)

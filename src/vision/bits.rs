@@ -4,6 +4,8 @@
 //! [`PAD_ROWS`] rows of zeros above and below, so that eight rows of a strip are one 512-bit load and the rows
 //! above and below them are the same load moved by one word.
 
+use nalgebra::Vector2;
+
 /// Rows of zeros above and below the picture in every strip.
 pub const PAD_ROWS: usize = 8;
 
@@ -178,6 +180,11 @@ impl BitImage {
 pub fn nearest(px: f64) -> i32 {
     const ABOVE_ZERO: i32 = 1 << 20;
     ((px + (f64::from(ABOVE_ZERO) + 0.5)) as i32).wrapping_sub(ABOVE_ZERO)
+}
+
+/// A place in a picture, in pixels.
+pub(crate) fn vector<T: Copy + Into<f64>>(p: [T; 2]) -> Vector2<f64> {
+    Vector2::new(p[0].into(), p[1].into())
 }
 
 #[cfg(test)]

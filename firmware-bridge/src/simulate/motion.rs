@@ -4,6 +4,7 @@
 //! Takes targets in the base frame and the time; gives where the arm is, and what happened ([`Motion`]).
 
 use super::Motion;
+use crate::message::distance_mm;
 use std::collections::VecDeque;
 
 const S_NS: f64 = 1e9;
@@ -88,7 +89,7 @@ impl Mechanics {
             self.mode = Mode::Waiting;
             return;
         };
-        let length_mm = distance(self.position_mm, block.to_mm);
+        let length_mm = distance_mm(self.position_mm, block.to_mm);
         let peak_mm_s = block.speed_mm_s.min((length_mm * self.acceleration_mm_s2).sqrt());
         self.active =
             Some(Active { from_mm: self.position_mm, block, length_mm, peak_mm_s, begin_ns: now_ns });
@@ -254,10 +255,6 @@ impl Mechanics {
             (0.5 * peak * ramp_s + peak * (t - ramp_s), peak)
         }
     }
-}
-
-pub(crate) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
-    (a[0] - b[0]).hypot(a[1] - b[1]).hypot(a[2] - b[2])
 }
 
 #[cfg(test)]

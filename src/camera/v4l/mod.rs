@@ -251,7 +251,7 @@ fn stall_after(settings: &CameraSettings) -> Duration {
 }
 
 fn between(from: Timestamp, to: Timestamp) -> Duration {
-    Duration::from_nanos(to.since(from).max(0).unsigned_abs())
+    Duration::from_nanos(to.ns_since(from))
 }
 
 impl Stream {

@@ -90,8 +90,6 @@ pub enum NoPick {
     Nothing(Nothing),
     /// The result came after the deadline.
     Late,
-    /// The cell is configured without an arm.
-    NoArm,
     /// The arm is not connected.
     ArmAbsent,
     /// The arm is on hold.
@@ -120,7 +118,7 @@ pub enum NoPick {
 
 impl NoPick {
     /// All reasons in words; [`NoPick::kind`] is an index into it.
-    pub const KINDS: [&str; 22] = [
+    pub const KINDS: [&str; 24] = [
         "bin empty",
         "nothing recognised",
         "all blocked",
@@ -129,8 +127,10 @@ impl NoPick {
         "picture over limits",
         "no base_from_left",
         "cameras mixed up",
+        "picture white all over",
+        "picture black all over",
+        "picture is noise",
         "too late",
-        "no arm",
         "arm not connected",
         "on hold",
         "controller in alarm",
@@ -149,20 +149,19 @@ impl NoPick {
     pub fn kind(&self) -> usize {
         match self {
             NoPick::Nothing(nothing) => *nothing as usize,
-            NoPick::Late => 8,
-            NoPick::NoArm => 9,
-            NoPick::ArmAbsent => 10,
-            NoPick::OnHold => 11,
-            NoPick::InAlarm => 12,
-            NoPick::ArmNotReady => 13,
-            NoPick::ArmBusy => 14,
-            NoPick::NotClear => 15,
-            NoPick::SlotNotSaved => 16,
-            NoPick::PlaceFull => 17,
-            NoPick::AllDeferred => 18,
-            NoPick::Gate(_) => 19,
-            NoPick::Stopping => 20,
-            NoPick::Superseded => 21,
+            NoPick::Late => 11,
+            NoPick::ArmAbsent => 12,
+            NoPick::OnHold => 13,
+            NoPick::InAlarm => 14,
+            NoPick::ArmNotReady => 15,
+            NoPick::ArmBusy => 16,
+            NoPick::NotClear => 17,
+            NoPick::SlotNotSaved => 18,
+            NoPick::PlaceFull => 19,
+            NoPick::AllDeferred => 20,
+            NoPick::Gate(_) => 21,
+            NoPick::Stopping => 22,
+            NoPick::Superseded => 23,
         }
     }
 }

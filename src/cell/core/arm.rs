@@ -434,9 +434,7 @@ impl Core {
         }
         if self.arm.silent_at.is_some_and(|at| now >= at) {
             self.arm.silent_at = None;
-            if self.params.has_arm {
-                actions.say(Note::Alarm(Alarm::ArmSilent));
-            }
+            actions.say(Note::Alarm(Alarm::ArmSilent));
         }
         if matches!(self.phase, Phase::Stopping(_) | Phase::Ended) {
             return;

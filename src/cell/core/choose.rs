@@ -122,9 +122,6 @@ impl Core {
 
     /// Whether a target may be sent at all because of this pair.
     fn may_send(&self, pair: &Pair) -> Result<(), NoPick> {
-        if !self.params.has_arm {
-            return Err(NoPick::NoArm);
-        }
         if matches!(self.phase, Phase::Stopping(_) | Phase::Ended) {
             return Err(NoPick::Stopping);
         }

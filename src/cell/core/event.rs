@@ -126,12 +126,18 @@ pub enum Nothing {
     OutOfTime,
     /// A picture could not be decoded or has another size than the calibration.
     BadPicture,
-    /// A picture goes over a stated limit (all white, too many nodes).
+    /// A picture goes over a stated limit (too many specks, nodes or lines).
     OverLimits,
     /// Parts were recognised, but cell.toml does not say where the cameras stand (`rig.base_from_left`).
     NoBase,
     /// Both pictures are of one camera, or each is the other camera's.
     MixedUp,
+    /// A picture is white all over.
+    White,
+    /// A picture is black all over.
+    Black,
+    /// A picture is noise and nothing else.
+    Noise,
 }
 
 /// What a recognition found, as far as decisions go.

@@ -97,8 +97,6 @@ pub struct Params {
     pub seed: u64,
     /// Budgets and seeds of single searches, by the number of their left frame: a recorded session is searched as it was.
     pub repeated: Vec<Option<Repeated>>,
-    /// There is an arm.
-    pub has_arm: bool,
     /// Number of the first target, above every number ever given away.
     pub first_id: u64,
     /// Where parts go.
@@ -249,11 +247,6 @@ impl Core {
         &self.counts
     }
 
-    /// Whether all is ended.
-    pub fn is_ended(&self) -> bool {
-        self.phase == Phase::Ended
-    }
-
     fn time_passes(&mut self, now: Timestamp, actions: &mut Actions) {
         for side in Side::BOTH {
             let camera = &self.cameras[side.index()];
@@ -348,7 +341,7 @@ impl Core {
         if let Some(pair) = self.waiting.take() {
             self.finish_pair(&pair, now, Err(NoPick::Stopping), actions);
         }
-        if self.params.has_arm && self.arm.is_connected() {
+        if self.arm.is_connected() {
             actions.push(Action::Arm(Command::Hold));
             self.arm.await_hold();
         }

@@ -41,7 +41,6 @@ pub(super) fn params() -> Params {
         iterations: None,
         seed: 7,
         repeated: Vec::new(),
-        has_arm: true,
         first_id: 100,
         place: None,
         record: PlaceRecord::default(),
@@ -142,6 +141,10 @@ impl Bench {
             Action::Say(Note::Pair(report)) => Some(report.outcome),
             _ => None,
         })
+    }
+
+    pub(super) fn is_ended(&self) -> bool {
+        self.core.phase == Phase::Ended
     }
 
     pub(super) fn ordered(&self) -> Option<Pick> {

@@ -312,7 +312,6 @@ fn params(args: &RunArgs, cell: &Cell, eyes: &Eyes, record: PlaceRecord, fast: b
         iterations: args.iterations.or(cell.recognition.iterations).or(fast.then_some(FAST_ITERATIONS)),
         seed: args.seed.unwrap_or(cell.recognition.seed),
         repeated: eyes.repeated.clone(),
-        has_arm: true,
         first_id: first_id(),
         place: cell.place.as_ref().map(pattern),
         record,

@@ -68,13 +68,6 @@ pub struct Edge {
     pub half_thickness_px: f32,
 }
 
-impl Edge {
-    /// Whether this is a closed loop without nodes.
-    pub fn is_closed(&self) -> bool {
-        self.nodes[0] == NONE
-    }
-}
-
 /// Nodes and edges of one picture.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Graph {
@@ -105,24 +98,6 @@ impl Graph {
     /// The pixels of an edge, in order from its first node to its second.
     pub fn edge_points(&self, edge: &Edge) -> &[[u16; 2]] {
         &self.points[edge.points.start as usize..edge.points.end as usize]
-    }
-
-    /// Length of an edge from node to node along its chain, ends put back, in pixels.
-    pub fn length_px(&self, edge: &Edge) -> f32 {
-        let terminal = |n: u32| self.nodes.get(n as usize).map(|n| n.position_px);
-        length(self.edge_points(edge), terminal(edge.nodes[0]), terminal(edge.nodes[1]), edge.is_closed())
-    }
-
-    /// Whether an edge joins two junctions that come from one X-crossing: thinning splits a crossing into two
-    /// T's with a short edge between, shorter than one and a half thicknesses of the lines that meet there.
-    pub fn is_crossing_bridge(&self, edge: &Edge) -> bool {
-        let junction = |n: u32| self.nodes.get(n as usize).filter(|n| n.kind == NodeKind::Junction);
-        let [a, b] = edge.nodes.map(junction);
-        edge.nodes[0] != edge.nodes[1]
-            && a.zip(b).is_some_and(|(a, b)| {
-                let half = a.half_thickness_px.max(b.half_thickness_px);
-                self.length_px(edge) < 1.5 * 2.0 * half
-            })
     }
 }
 
@@ -268,30 +243,6 @@ impl Graphs {
         ends::put_back(self.level, mask, frame, graph);
         Ok(())
     }
-}
-
-/// Length of a chain through every eighth pixel: steps of single pixels would count a slanted line too long.
-fn length(chain: &[[u16; 2]], first: Option<[f32; 2]>, last: Option<[f32; 2]>, closed: bool) -> f32 {
-    const STEP: usize = 8;
-    let at = |p: &[u16; 2]| [p[0] as f32, p[1] as f32];
-    let Some(mut before) = first.or_else(|| chain.first().map(at)) else { return 0.0 };
-    let begin = before;
-    let mut sum = 0.0;
-    let mut go = |to: [f32; 2]| {
-        let (dx, dy) = (to[0] - before[0], to[1] - before[1]);
-        sum += (dx * dx + dy * dy).sqrt();
-        before = to;
-    };
-    if chain.len() > STEP {
-        chain[STEP / 2..chain.len() - STEP / 2].iter().step_by(STEP).map(at).for_each(&mut go);
-    }
-    if let Some(to) = last.or_else(|| chain.last().map(at)) {
-        go(to);
-    }
-    if closed {
-        go(begin);
-    }
-    sum
 }
 
 #[cfg(test)]

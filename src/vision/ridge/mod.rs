@@ -37,6 +37,9 @@
 //! let mut rows: Vec<f64> = ridges.stretches().iter().map(|s| s.ends_px[0].y).collect();
 //! rows.sort_by(f64::total_cmp);
 //! assert_eq!(rows.iter().map(|y| y.round()).collect::<Vec<_>>(), [28.0, 36.0]);
+//! let mut few = Ridges::new(Params { stretches_max: 1, ..Params::default() }, width, height);
+//! few.run(LumaView::new(&frame).unwrap(), &mask, &everywhere, false, 4.0, None);
+//! assert!(few.is_full() && !ridges.is_full());
 //! ```
 
 mod area;
@@ -44,7 +47,7 @@ mod points;
 
 use nalgebra::{Matrix2, Vector2};
 
-use super::bits::{BitImage, nearest};
+use super::bits::{BitImage, nearest, vector};
 use crate::frame::LumaView;
 use crate::level::Level;
 use crate::time::Timestamp;
@@ -127,6 +130,11 @@ impl Ridges {
     /// The stretches of the last run.
     pub fn stretches(&self) -> &[Stretch] {
         &self.stretches
+    }
+
+    /// Whether there was no room for more in the last run, so that some may have been left out.
+    pub fn is_full(&self) -> bool {
+        self.points.len() == self.params.points_max || self.stretches.len() == self.params.stretches_max
     }
 
     /// Finds the stretches of wire about `half_width_px` thick to both sides of its middle, within `area`, until `end`.
@@ -230,10 +238,6 @@ impl Ridges {
 
 fn pixel_of(at: [f32; 2], width: usize) -> usize {
     (at[1].round() as usize) * width + at[0].round() as usize
-}
-
-fn vector(p: [f32; 2]) -> Vector2<f64> {
-    Vector2::new(p[0].into(), p[1].into())
 }
 
 /// The line through points, in the least-squares sense.

@@ -10,7 +10,8 @@
 //! picture but counts them as neighbours. 64 pixels are one word, and regions where nothing changes are skipped.
 
 mod delete;
-pub mod slow;
+#[cfg(test)]
+mod slow;
 mod tiles;
 pub mod whole;
 

@@ -8,7 +8,7 @@ use crate::vision::bits::BitImage;
 ///
 /// The names are the articles': `p2` is the pixel above, then clockwise to `p9`, above on the left. The outermost
 /// pixels of the picture are never deleted, but count as neighbours.
-pub fn thin_slowly(algorithm: Algorithm, mask: &BitImage) -> BitImage {
+pub(super) fn thin_slowly(algorithm: Algorithm, mask: &BitImage) -> BitImage {
     let mut picture = mask.clone();
     loop {
         let mut changed = false;

@@ -1,6 +1,7 @@
 //! What the uArm says, line by line: answers, readings of its encoders, statuses, reports.
 
 use super::*;
+use crate::message::distance_mm;
 
 impl UarmWire {
     pub(super) fn text(&mut self, text: &str, now: i64, events: &mut Events) {
@@ -175,7 +176,7 @@ impl UarmWire {
         };
         let unlock = self.chore == Chore::Look(LookFor::Settled { unlock: true });
         self.begin(Chore::None, now);
-        events.push(match (far(believed, seen) <= BELIEF_MM, unlock) {
+        events.push(match (distance_mm(believed, seen) <= BELIEF_MM, unlock) {
             (false, _) => Event::Alarm { code: CODE_ELSEWHERE, position_lost: true },
             (true, false) => Event::Settled,
             (true, true) => Event::Unlocked,
@@ -200,7 +201,7 @@ impl UarmWire {
             return events.push(Event::Resting(pose_mm.map(Some)));
         }
         let before = self.last_pose_mm.replace(pose_mm);
-        let stands = before.is_some_and(|before| far(before, pose_mm) <= AGREE_MM);
+        let stands = before.is_some_and(|before| distance_mm(before, pose_mm) <= AGREE_MM);
         let what_for = match self.chore {
             Chore::Look(what_for) => what_for,
             Chore::Stop { greeting, .. } if stands => return self.stopped(greeting, now, events),
@@ -210,7 +211,7 @@ impl UarmWire {
         // Slow moves look like rest to the encoders; the status, where there is one, does not.
         let stands = stands && if self.realtime { self.rests } else { !self.runs };
         if !stands {
-            let moves = before.is_some_and(|before| far(before, pose_mm) > AGREE_MM);
+            let moves = before.is_some_and(|before| distance_mm(before, pose_mm) > AGREE_MM);
             if moves && what_for == LookFor::Greeting {
                 // It moves although nobody here told it to.
                 return self.halt(true, now);
@@ -237,7 +238,7 @@ impl UarmWire {
     /// The encoders' reading while it is to move: an arm that does not get on although its controller counts steps is
     /// blocked, and must not be sent on from where nobody knows.
     fn moved_to(&mut self, pose_mm: [f64; 3], now: i64, events: &mut Events) {
-        let gets_on = self.lingers.is_none_or(|(at, _)| far(at, pose_mm) > AGREE_MM);
+        let gets_on = self.lingers.is_none_or(|(at, _)| distance_mm(at, pose_mm) > AGREE_MM);
         if gets_on || !self.runs {
             self.lingers = Some((pose_mm, now));
         } else if self.lingers.is_some_and(|(_, since)| now - since >= STALLED) {
@@ -264,7 +265,7 @@ impl UarmWire {
         let at_mm = rest.strip_prefix("MPos:").and_then(line::triple);
         let before = core::mem::replace(&mut self.last_status_mm, at_mm);
         let still = match (before, at_mm) {
-            (Some(before), Some(at)) => far(before, at) == 0.0,
+            (Some(before), Some(at)) => distance_mm(before, at) == 0.0,
             _ => false,
         };
         match (self.chore, state) {
@@ -300,8 +301,4 @@ fn pose(answer: &str) -> Option<[f64; 3]> {
         [Some(x), Some(y), Some(z)] => Some([x, y, z]),
         _ => None,
     }
-}
-
-fn far(a: [f64; 3], b: [f64; 3]) -> f64 {
-    (a[0] - b[0]).hypot(a[1] - b[1]).hypot(a[2] - b[2])
 }

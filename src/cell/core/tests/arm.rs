@@ -390,11 +390,11 @@ fn stop_holds_the_arm_and_ends_when_it_says_so_or_after_a_while() {
     assert_eq!(bench.ends(), Some(TargetEnd::Failed(Failure::Held)));
     // It holds and forgets to say how the target ended; it does not even say that it holds.
     silent.pass(1000 * MS);
-    assert_eq!((silent.ends(), silent.core.is_ended()), (Some(TargetEnd::Lost), true));
+    assert_eq!((silent.ends(), silent.is_ended()), (Some(TargetEnd::Lost), true));
     deaf.pass(STOP_NS - 1);
-    assert_eq!((deaf.ends(), deaf.core.is_ended()), (None, false));
+    assert_eq!((deaf.ends(), deaf.is_ended()), (None, false));
     deaf.pass(1);
-    assert_eq!((deaf.ends(), deaf.core.is_ended()), (Some(TargetEnd::Abandoned), true));
+    assert_eq!((deaf.ends(), deaf.is_ended()), (Some(TargetEnd::Abandoned), true));
 }
 
 #[test]
@@ -406,5 +406,5 @@ fn an_arm_of_another_version_ends_the_cell_before_anything_moved_but_not_later()
     assert!(bench.alarms()[0].to_string().contains("speaks version 2 of the protocol, this cell version 1"));
     let mut bench = Bench::looking(params(), &settings(""));
     bench.arm(wrong);
-    assert_eq!((bench.core.is_ended(), bench.state()), (false, State::Absent));
+    assert_eq!((bench.is_ended(), bench.state()), (false, State::Absent));
 }

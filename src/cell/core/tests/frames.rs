@@ -153,11 +153,11 @@ fn a_session_ends_when_both_sides_and_all_that_is_under_way_have_ended() {
     bench.pair();
     bench.event(Event::CameraEnded { side: Side::Left });
     bench.event(Event::CameraEnded { side: Side::Right });
-    assert!(!bench.core.is_ended());
+    assert!(!bench.is_ended());
     bench.event(Event::Recognised { pair: 1, found: found(&[[0.0, 0.0, 10.0]]) });
     let id = bench.ordered().unwrap().id;
     bench.pass(100 * MS);
-    assert!(!bench.core.is_ended());
+    assert!(!bench.is_ended());
     bench.arm(Report::Done { id });
     assert_eq!(bench.commands(), [Command::Hold]);
     bench.arm(Report::Held { by: HeldBy::Command });
