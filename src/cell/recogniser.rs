@@ -30,6 +30,7 @@ fn nothing_in(refusal: &Refusal) -> Nothing {
         Refusal::White { .. } => Nothing::White,
         Refusal::Black { .. } => Nothing::Black,
         Refusal::Noise { .. } => Nothing::Noise,
+        Refusal::Flat { .. } => Nothing::Flat,
     }
 }
 
@@ -87,6 +88,7 @@ mod tests {
         assert_eq!(told(Refusal::White { side }), "picture white all over");
         assert_eq!(told(Refusal::Black { side }), "picture black all over");
         assert_eq!(told(Refusal::Noise { side }), "picture is noise");
+        assert_eq!(told(Refusal::Flat { side }), "picture the same all over");
         let reason = binarize::Refusal::Specks { specks_max: 1 };
         assert_eq!(told(Refusal::Binarize { side, reason }), "picture over limits");
         assert_eq!(core::NoPick::Late.to_string(), "too late");

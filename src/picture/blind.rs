@@ -1,4 +1,5 @@
-//! Whether a camera sees anything at all: a picture that is white or black all over, or noise and nothing else, is no empty bin.
+//! Whether a camera sees anything at all: a picture that is white, black or the same all over, or noise and nothing else, is no
+//! empty bin.
 
 use std::ops::RangeInclusive;
 
@@ -9,6 +10,10 @@ use crate::vision::bits::BitImage;
 /// Luma of a camera that is saturated, and of one that sees no light: no floor is so dark, and no wire would stand out.
 const WHITE_LUMA: RangeInclusive<u8> = 250..=255;
 const BLACK_LUMA: RangeInclusive<u8> = 0..=8;
+/// Luma of what is lit too little to be told from noise, on a floor most of which is black.
+const DARK_LUMA: RangeInclusive<u8> = 0..=24;
+/// What a picture that is the same all over differs by, in grey levels: by what a decoder rounds.
+const FLAT_LEVELS: u8 = 1;
 /// So many places are looked at for that, of which so many may be otherwise: one in a hundred.
 const PLACES: u32 = 8192;
 const OTHERS_MAX: u32 = PLACES / 100;
@@ -34,8 +39,11 @@ pub(super) fn blind(luma: &Frame, mask: &BitImage, is_bright_on_dark: bool, side
     if is_all_of(luma, BLACK_LUMA) && (is_empty || is_black_object(luma, mask)) {
         return Some(Refusal::Black { side });
     }
+    let lit = |wanted| others(luma, wanted).take(PLACES as usize / 2 + 1).count() as u32;
     match is_empty {
+        true if is_all_of(luma, DARK_LUMA) && lit(BLACK_LUMA) <= PLACES / 2 => Some(Refusal::Black { side }),
         true if is_bright_on_dark && is_all_of(luma, WHITE_LUMA) => Some(Refusal::White { side }),
+        true if is_flat(luma) => Some(Refusal::Flat { side }),
         true if is_noise(luma) => Some(Refusal::Noise { side }),
         _ => None,
     }
@@ -53,9 +61,21 @@ fn places(width: usize, height: usize) -> impl Iterator<Item = (usize, usize)> {
 
 /// Whether 99 of 100 pixels are as light or dark as that. Of a picture that is not this is known after a few.
 fn is_all_of(luma: &Frame, wanted: RangeInclusive<u8>) -> bool {
-    let others = places(luma.width, luma.height)
-        .filter(|&(x, y)| !wanted.contains(&luma.bytes[y * luma.stride_bytes + x]));
-    others.take(OTHERS_MAX as usize + 1).count() <= OTHERS_MAX as usize
+    others(luma, wanted).take(OTHERS_MAX as usize + 1).count() <= OTHERS_MAX as usize
+}
+
+/// The luma of the places that are not as light or dark as that.
+fn others(luma: &Frame, wanted: RangeInclusive<u8>) -> impl Iterator<Item = u8> {
+    let at = places(luma.width, luma.height).map(|(x, y)| luma.bytes[y * luma.stride_bytes + x]);
+    at.filter(move |v| !wanted.contains(v))
+}
+
+/// Whether 99 of 100 pixels are as light as the first: what light falls on is not, nor what a sensor sees, but where it is
+/// saturated.
+fn is_flat(luma: &Frame) -> bool {
+    let level = luma.bytes[0];
+    let alike = level.saturating_sub(FLAT_LEVELS)..=level.saturating_add(FLAT_LEVELS);
+    !WHITE_LUMA.contains(&level) && is_all_of(luma, alike)
 }
 
 /// Whether the colours take black itself for parts, and not what little stands out from it.
@@ -121,6 +141,7 @@ mod tests {
     const SIZE: [usize; 2] = [640, 480];
     const WHITE: Refusal = Refusal::White { side: Side::Right };
     const BLACK: Refusal = Refusal::Black { side: Side::Right };
+    const FLAT: Refusal = Refusal::Flat { side: Side::Right };
     const NOISE: Refusal = Refusal::Noise { side: Side::Right };
 
     fn grey(mut level: impl FnMut(usize, usize) -> f64) -> Frame {
@@ -133,6 +154,23 @@ mod tests {
     /// About normal: twelve uniform numbers.
     fn normal(random: &mut Pcg32) -> f64 {
         (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0
+    }
+
+    #[test]
+    fn a_camera_without_a_signal_is_no_empty_bin() {
+        for level in [60.0, 128.0, 230.0] {
+            assert_eq!(seen(&grey(|x, y| level + ((x / 8 + y) % 2) as f64)), Some(FLAT), "{level}");
+            assert_eq!(seen(&grey(|x, _| level + x as f64 / 100.0)), None, "light falls off");
+        }
+        let mut random = Pcg32::seed_from_u64(1);
+        assert_eq!(seen(&grey(|_, _| 60.0 + 1.5 * normal(&mut random))), None, "a sensor's noise");
+    }
+
+    #[test]
+    fn parts_lit_too_little_to_be_told_from_noise_are_no_empty_bin() {
+        let bin = |floor: f64, wire: f64| grey(move |x, _| if x % 20 < 3 { wire } else { floor });
+        assert_eq!(seen(&bin(4.0, 14.0)), Some(BLACK));
+        assert_eq!([seen(&bin(4.0, 60.0)), seen(&bin(14.0, 20.0))], [None, None]);
     }
 
     fn seen(luma: &Frame) -> Option<Refusal> {

@@ -60,7 +60,9 @@ pub enum Refusal {
         side: Side,
     },
     /// The picture is black all over: not an empty bin, a camera that sees no light.
-    #[error("{side} picture is black all over: look at the light, the cap of the lens and the exposure")]
+    #[error(
+        "{side} picture is black all over, or nearly so: look at the light, the cap of the lens and the exposure"
+    )]
     Black {
         /// `left` or `right`.
         side: Side,
@@ -70,6 +72,12 @@ pub enum Refusal {
         "{side} picture is noise and nothing else: look at the light, the cap of the lens, the gain and the exposure"
     )]
     Noise {
+        /// `left` or `right`.
+        side: Side,
+    },
+    /// Every pixel is as light as every other, which no camera sees: it gives no picture.
+    #[error("{side} picture is the same all over: look at the camera's cable and whether it gives a picture")]
+    Flat {
         /// `left` or `right`.
         side: Side,
     },

@@ -118,7 +118,7 @@ pub enum NoPick {
 
 impl NoPick {
     /// All reasons in words; [`NoPick::kind`] is an index into it.
-    pub const KINDS: [&str; 24] = [
+    pub const KINDS: [&str; 25] = [
         "bin empty",
         "nothing recognised",
         "all blocked",
@@ -130,6 +130,7 @@ impl NoPick {
         "picture white all over",
         "picture black all over",
         "picture is noise",
+        "picture the same all over",
         "too late",
         "arm not connected",
         "on hold",
@@ -147,21 +148,22 @@ impl NoPick {
 
     /// Which of [`NoPick::KINDS`].
     pub fn kind(&self) -> usize {
+        const NOTHINGS: usize = Nothing::Flat as usize + 1;
         match self {
             NoPick::Nothing(nothing) => *nothing as usize,
-            NoPick::Late => 11,
-            NoPick::ArmAbsent => 12,
-            NoPick::OnHold => 13,
-            NoPick::InAlarm => 14,
-            NoPick::ArmNotReady => 15,
-            NoPick::ArmBusy => 16,
-            NoPick::NotClear => 17,
-            NoPick::SlotNotSaved => 18,
-            NoPick::PlaceFull => 19,
-            NoPick::AllDeferred => 20,
-            NoPick::Gate(_) => 21,
-            NoPick::Stopping => 22,
-            NoPick::Superseded => 23,
+            NoPick::Late => NOTHINGS,
+            NoPick::ArmAbsent => NOTHINGS + 1,
+            NoPick::OnHold => NOTHINGS + 2,
+            NoPick::InAlarm => NOTHINGS + 3,
+            NoPick::ArmNotReady => NOTHINGS + 4,
+            NoPick::ArmBusy => NOTHINGS + 5,
+            NoPick::NotClear => NOTHINGS + 6,
+            NoPick::SlotNotSaved => NOTHINGS + 7,
+            NoPick::PlaceFull => NOTHINGS + 8,
+            NoPick::AllDeferred => NOTHINGS + 9,
+            NoPick::Gate(_) => NOTHINGS + 10,
+            NoPick::Stopping => NOTHINGS + 11,
+            NoPick::Superseded => NOTHINGS + 12,
         }
     }
 }

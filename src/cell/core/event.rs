@@ -138,6 +138,8 @@ pub enum Nothing {
     Black,
     /// A picture is noise and nothing else.
     Noise,
+    /// A picture is the same all over. The last, as [`NoPick::kind`](super::NoPick::kind) counts on.
+    Flat,
 }
 
 /// What a recognition found, as far as decisions go.

@@ -34,9 +34,11 @@ const OFFSET: u16 = 16;
 const CONTRAST_STEPS: f32 = 32.0;
 /// Least contrast of parts. A bin's rim beside its dark wall reaches 1.9.
 const CONTRAST_MIN: f32 = 2.0;
-/// Least contrast of parts against a background without the shadows of walls, and least difference in grey levels.
+/// Least contrast of parts against a background without the shadows of walls, and least difference in grey levels; of bright
+/// parts in the dark, where nothing differs by so much, this contrast and this difference will do.
 const FAINT_MIN: f32 = 1.3;
 const FAINT_LEVELS_MIN: f32 = 30.0;
+const FAINT_IN_THE_DARK: (f32, f32) = (1.6, 12.0);
 /// Contrast from which on a background against the median one may be dense parts, and contrast that their samples then
 /// have among each other at least; a brighter table or glare is more even. Where it is floor beside a single part after all,
 /// the floor around is as bright, and nothing is lost.
@@ -257,7 +259,12 @@ fn thresholds_for<const DARK: bool>(
         None => {
             // Parts that stand out less than a rim beside its wall's shadow may: without the shadow the rim does not.
             fill_narrow::<DARK>(grid);
-            let least = FAINT_MIN.max(grid.contrast_of_levels::<DARK>(FAINT_LEVELS_MIN));
+            let mut least = grid.contrast_of_levels::<DARK>(FAINT_LEVELS_MIN);
+            if !DARK {
+                let (contrast, levels) = FAINT_IN_THE_DARK;
+                least = least.min(contrast.max(grid.contrast_of_levels::<DARK>(levels)));
+            }
+            let least = least.max(FAINT_MIN);
             contrasts::<DARK>(grid);
             let Some(found) = grid.contrasts(least) else { return false };
             found
