@@ -21,9 +21,6 @@ const CALIBRATION_AGE_MAX: Duration = Duration::from_secs(90 * 24 * 3600);
 /// So many pictures of a session are looked at.
 const PICTURES_MAX: usize = 1000;
 
-/// Baselines outside of this are most likely metres or a slip, in mm.
-const BASELINE_MM: std::ops::RangeInclusive<f64> = 5.0..=2000.0;
-
 /// Calibration, parts, session, region. Gives the rig where it can be read.
 pub(super) fn check(cell: &Cell, findings: &mut Findings) -> Option<Rig> {
     let rig = calibration(cell, findings);
@@ -93,17 +90,9 @@ fn calibration(cell: &Cell, findings: &mut Findings) -> Option<Rig> {
     let (width, height) = (rig.left.width, rig.left.height);
     let baseline_mm = rig.baseline_mm();
     let about = format!("{}: {width}x{height}, baseline {baseline_mm:.1} mm", path.display());
-    if BASELINE_MM.contains(&baseline_mm) {
-        findings.ok("calibration", about);
-    } else {
-        findings.warning("calibration", about, "T must be in millimetres; see whether it is");
-    }
-    if rig.right_from_left.translation.x > 0.5 * baseline_mm {
-        findings.warning(
-            "cameras",
-            "the right camera stands at the left of the left one".to_owned(),
-            "are they exchanged in the calibration? then no point is seen in front of both",
-        );
+    match rig.doubt() {
+        None => findings.ok("calibration", about),
+        Some(doubt) => findings.warning("calibration", about, doubt),
     }
     if let Some(age) = age(path).filter(|age| *age > CALIBRATION_AGE_MAX) {
         findings.warning(

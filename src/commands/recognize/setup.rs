@@ -69,6 +69,9 @@ impl Setup {
             return Err(RecognizeError::NoPictures);
         };
         let rig = Rig::read(calibration)?;
+        if let Some(doubt) = rig.doubt() {
+            tracing::warn!("{}: {doubt}", calibration.display());
+        }
         let parts = Part::read_all(parts)?;
         let (pairs, many) = pictures(args, cell)?;
         let recognition = cell.map(|c| &c.recognition);
