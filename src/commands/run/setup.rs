@@ -122,6 +122,7 @@ impl Setup {
             second = Some(helper);
         }
         let mut eyes = eyes(args, &cell, fast)?;
+        cell.check_pair_window(eyes.period)?;
         let mut arm = match eyes.arm.take().filter(|_| simulated && args.soak.is_none()) {
             Some(answers) => {
                 tracing::info!("the arm answers as that of the recorded session did");
