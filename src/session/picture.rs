@@ -43,8 +43,8 @@ pub enum PictureError {
     },
     /// To be turned before it is looked at, as OpenCV does and a camera of a cell does not.
     #[error(
-        "{}: its EXIF orientation says that it is to be turned or mirrored, and the calibration may be of either; store it as it is to \
-         be seen, with orientation 1 or none (`mogrify -auto-orient`, `exiftool -Orientation=`)", path.display()
+        "{}: its EXIF orientation says that it is to be turned or mirrored; OpenCV does so, so that for a calibration made with it the \
+         pixels are to be turned (`mogrify -auto-orient`), else take the mark away (`exiftool -Orientation=`)", path.display()
     )]
     Turned {
         /// The file.
@@ -111,7 +111,18 @@ pub enum PictureError {
 pub fn read_picture(path: &Path) -> Result<Frame, PictureError> {
     let bytes =
         std::fs::read(path).map_err(|reason| PictureError::Unreadable { path: path.to_owned(), reason })?;
+    // Messages of a recording are as their camera sent them, and played as such.
+    if is_to_be_turned(&bytes) {
+        return Err(PictureError::Turned { path: path.to_owned() });
+    }
     from_file(bytes, path)
+}
+
+/// Whether the EXIF orientation of a picture is another than 1.
+fn is_to_be_turned(bytes: &[u8]) -> bool {
+    let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().ok();
+    let orientation = reader.and_then(|reader| reader.into_decoder().ok()?.orientation().ok());
+    orientation.is_some_and(|orientation| orientation != Orientation::NoTransforms)
 }
 
 /// Reads a picture file as [`read_picture`] does, but decodes a JPEG too.
@@ -130,15 +141,10 @@ fn from_file(bytes: Vec<u8>, path: &Path) -> Result<Frame, PictureError> {
     let broken = |error: image::ImageError| broken(path, error);
     let format = image::guess_format(&bytes).map_err(|_| PictureError::Foreign { path: path.to_owned() })?;
     let reader = || ImageReader::with_format(Cursor::new(&bytes), format);
-    if !matches!(format, ImageFormat::Png | ImageFormat::Jpeg) {
-        return Err(PictureError::Foreign { path: path.to_owned() });
-    }
-    let mut header = reader().into_decoder().map_err(broken)?;
-    if header.orientation().is_ok_and(|orientation| orientation != Orientation::NoTransforms) {
-        return Err(PictureError::Turned { path: path.to_owned() });
-    }
-    let (width, height) = header.dimensions();
-    drop(header);
+    let (width, height) = match format {
+        ImageFormat::Png | ImageFormat::Jpeg => reader().into_dimensions().map_err(broken)?,
+        _ => return Err(PictureError::Foreign { path: path.to_owned() }),
+    };
     check_size(width, height, path)?;
     let (width, height) = (width as usize, height as usize);
     if format == ImageFormat::Jpeg {
