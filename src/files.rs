@@ -65,6 +65,23 @@ pub fn write_new<T, E: From<io::Error>>(
     written
 }
 
+/// What to do where a file or its folder cannot be written.
+pub fn write_remedy(reason: &io::Error) -> &'static str {
+    match reason.kind() {
+        _ if is_full(reason) => "make room there",
+        io::ErrorKind::AlreadyExists | io::ErrorKind::NotADirectory => {
+            "a file has the name of a folder that is needed: give another name"
+        }
+        io::ErrorKind::IsADirectory => "a folder has this name: give another",
+        _ => "give another place, or the right to write there",
+    }
+}
+
+/// Whether it is the disk that has no room: the same call may do later.
+pub fn is_full(reason: &io::Error) -> bool {
+    matches!(reason.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
+}
+
 /// Rights of a new file, before the process's mask.
 const READABLE: Mode = Mode::from_raw_mode(0o666);
 

@@ -221,8 +221,10 @@ fn as_filed(params: &Params, placed: &Placed, grasp: &Grasp) -> Grasp {
 /// Why parts cannot be taken, each with its grasp; `None` for those that can. A grasp for which there is no room, or that
 /// is outside the workspace, slides along the wire as far as the part file allows to the nearest place where neither is so.
 ///
+/// Parts beyond the last of `grasps` are asked only for what crosses over them.
+///
 /// # Panics
-/// Where `why` has not a place for every part.
+/// Where `why` has not a place for every part, or there are more `grasps` than parts.
 pub fn blocked(params: &Params, all: &[Placed], grasps: &mut [Grasp], why: &mut [Option<Blocked>]) {
     why[..all.len()].fill(None);
     for (k, first) in all.iter().enumerate() {

@@ -8,7 +8,7 @@ use crate::accuracy::truth::{self, Scene, SceneSet, Truth};
 use crate::commands::pictures::{PairFiles, read_pair};
 use crate::commands::recognize::output::PairResult;
 use crate::commands::whole;
-use crate::files::write_atomically;
+use crate::files::{can_write, write_atomically, write_remedy};
 use crate::part::{Part, PartError};
 use crate::recognize::{Params, Recognition, Recognizer};
 use crate::rig::Rig;
@@ -74,6 +74,10 @@ pub fn run(args: &Accuracy) -> Result<u8, Box<dyn std::error::Error>> {
         Ok((set, Part::read_all(&paths)?))
     });
     let with_parts: Vec<_> = with_parts.collect::<Result<_, PartError>>()?;
+    if let Some(out) = &args.out {
+        let made = std::fs::create_dir_all(out).and_then(|()| can_write(out));
+        made.map_err(|e| format!("--out {}: cannot be written: {e}; {}", out.display(), write_remedy(&e)))?;
+    }
     say(Score::HEADING)?;
     for (set, parts) in &with_parts {
         let score = run_set(args, set, parts)?;
@@ -127,7 +131,8 @@ fn run_set(args: &Accuracy, set: &SceneSet, parts: &[Part]) -> Result<Score, Box
             std::fs::create_dir_all(&folder)
                 .and_then(|()| write_atomically(&path, (result.to_json() + "\n").as_bytes()))
                 .map_err(|e| {
-                    io::Error::new(e.kind(), format!("{}: cannot be written: {e}", path.display()))
+                    let remedy = write_remedy(&e);
+                    io::Error::new(e.kind(), format!("{}: cannot be written: {e}; {remedy}", path.display()))
                 })?;
         }
         let verdicts = score.add(&truth, &found, parts);

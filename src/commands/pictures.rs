@@ -208,6 +208,6 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let message = |path: &Path| pairs_of(path).unwrap_err().to_string();
         assert!(message(folder.path()).contains("no pair in it; it must hold folders with left.png|jpg"));
-        assert!(message(&folder.path().join("absent")).contains("absent: cannot list this folder"));
+        assert!(message(&folder.path().join("absent")).contains("absent: cannot read it: No such file"));
     }
 }

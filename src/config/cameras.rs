@@ -161,13 +161,12 @@ impl Written {
             check_twins(source, left, right)?;
         }
         let pair_window = self.pair_window_ms.map(|ms| {
+            // The rate of a session is known when that is open: `Cell::check_pair_window`.
             let period_ms = left.as_ref().map_or(1000.0, |camera| camera.period().as_secs_f64() * 1e3);
             if ms.is_finite() && ms > 0.0 && ms <= period_ms / 2.0 {
                 return Ok(Duration::from_secs_f64(ms / 1e3));
             }
-            let allowed =
-                format!("milliseconds above 0, at most half a frame period ({:.2})", period_ms / 2.0);
-            Err(source.refuse("cameras.pair_window_ms", ms, allowed))
+            Err(refused_window(source, ms, period_ms))
         });
         Ok(Cameras {
             backend: self.backend,
@@ -178,6 +177,11 @@ impl Written {
             right,
         })
     }
+}
+
+pub(super) fn refused_window(source: &Source, window_ms: f64, period_ms: f64) -> ConfigError {
+    let allowed = format!("milliseconds above 0, at most half a frame period ({:.2})", period_ms / 2.0);
+    source.refuse("cameras.pair_window_ms", window_ms, allowed)
 }
 
 fn check_twins(source: &Source, left: &CameraSettings, right: &CameraSettings) -> Result<(), ConfigError> {

@@ -163,6 +163,22 @@ impl Cell {
         source.wrong(Fault::Other { key: "recognition.region_px", problem })
     }
 
+    /// Whether the pairing window is at most half of a session's frame period, which is known when the session is open.
+    ///
+    /// # Errors
+    /// It is more; names the key.
+    pub fn check_pair_window(&self, period: Duration) -> Result<(), ConfigError> {
+        // A rate that was measured may be off a little.
+        match self.cameras.pair_window.filter(|window| *window > period.mul_f64(0.525)) {
+            None => Ok(()),
+            Some(window) => {
+                let source = Source { file: self.file.clone(), text: self.text.clone() };
+                let [window_ms, period_ms] = [window, period].map(|time| time.as_secs_f64() * 1e3);
+                Err(cameras::refused_window(&source, window_ms, period_ms))
+            }
+        }
+    }
+
     /// Time from a frame's stamp to the last byte of its target on the wire: `deadline_ms`, or two frame periods.
     pub fn deadline(&self, period: Duration) -> Duration {
         self.deadline.unwrap_or(2 * period)

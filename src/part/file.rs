@@ -7,7 +7,7 @@ use firmware_bridge::outside::read_text;
 use nalgebra::{Point3, Unit, Vector3};
 use serde::Deserialize;
 
-use super::centreline::bend_radius_max_mm;
+use super::centreline::{CentrelinePoint, bend_radius_max_mm};
 use super::{
     ANCHORS_MAX, BEND_RADIUS_PER_THICKNESS, EDGES_MAX, NODES_MAX, NodeKind, Part, PartEdge, PartError,
     PartGrasp, PartNode,
@@ -24,6 +24,13 @@ const BEND_FITS: f64 = 1.001;
 const LENGTH_THICKNESSES_MAX: f64 = 900.0;
 /// Approach and closing may be off the right angle by 1 degree (rounded digits); it is taken out.
 const SQUARE_TOLERANCE: f64 = 0.018;
+
+/// So many degrees may the direction of the wire that a grasp says be off (rounded digits, a wire that is a little bent) where the
+/// wire has one direction, and so many near a bend or a junction, where it has several.
+const ASKEW_DEG_MAX: f64 = 5.0;
+const ASKEW_AT_BEND_DEG_MAX: f64 = 45.0;
+/// A grasp may be so far beyond the wire's end (rounded digits), mm.
+const BEYOND_MM_MAX: f64 = 0.01;
 
 /// Wire along which a grasp may slide strays from a straight line by less than this share of its thickness.
 const STRAIGHT_SHARE: f64 = 0.02;
@@ -343,7 +350,8 @@ impl Check<'_> {
         let grasp = part.grasp.position_mm;
         let length: f64 = (0..part.edges.len()).map(|e| part.edge_length_mm(e)).sum();
         let step_mm = (0.25 * part.thickness_mm).max(length / 10_000.0);
-        let near: Vec<_> = (0..part.edges.len()).flat_map(|e| part.centreline(e, step_mm)).collect();
+        let lines: Vec<_> = (0..part.edges.len()).map(|edge| part.centreline(edge, step_mm)).collect();
+        let near: Vec<_> = lines.iter().flatten().collect();
         let distance = |p: &Point3<f64>| (p - grasp).norm();
         let least = near.iter().map(|p| distance(&p.position_mm)).fold(f64::MAX, f64::min);
         // The wire passes inside of its corners.
@@ -354,14 +362,33 @@ impl Check<'_> {
             let problem = format!("is {least:.1} mm from the wire's axis; put it on that");
             return Err(self.value("grasp: position_mm", shown, &problem));
         }
-        // near a junction or a bend, any of the directions there will do
+        for (edge, line) in part.edges.iter().zip(&lines) {
+            let [from, to] = [line[0], line[line.len() - 1]];
+            for (node, end, outward) in [(edge.from, from, -from.tangent), (edge.to, to, to.tangent)] {
+                let beyond_mm = (grasp - end.position_mm).dot(&outward);
+                let is_nearest = distance(&end.position_mm) <= least;
+                if part.nodes[node].kind == NodeKind::End && is_nearest && beyond_mm > BEYOND_MM_MAX {
+                    let name = &part.nodes[node].name;
+                    let problem =
+                        format!("is {beyond_mm:.2} mm beyond the wire's end {name}; put it on the wire");
+                    return Err(self.value("grasp: position_mm", shown, &problem));
+                }
+            }
+        }
         let axis = part.grasp_axis();
-        let around = near.iter().filter(|p| distance(&p.position_mm) < least + part.thickness_mm);
-        let along = around.map(|p| p.tangent.dot(&axis).abs()).fold(0.0, f64::max);
-        if along < 0.7 {
+        let askew_deg =
+            |p: &&CentrelinePoint, way: &Vector3<f64>| p.tangent.dot(way).abs().min(1.0).acos().to_degrees();
+        let around = || near.iter().copied().filter(|p| distance(&p.position_mm) < least + part.thickness_mm);
+        let least_deg = around().map(|p| askew_deg(&p, &axis)).fold(f64::MAX, f64::min);
+        let is_bent = around().any(|p| around().any(|q| askew_deg(&p, &q.tangent) > ASKEW_DEG_MAX));
+        let most_deg = if is_bent { ASKEW_AT_BEND_DEG_MAX } else { ASKEW_DEG_MAX };
+        if least_deg > most_deg {
             let c = part.grasp.closing;
-            let problem = "does not close across the wire; approach × closing must be the wire's direction at the grasp";
-            return Err(self.value("grasp: closing", format!("[{}, {}, {}]", c.x, c.y, c.z), problem));
+            let problem = format!(
+                "does not close across the wire; approach × closing must be the wire's direction at the grasp, and is \
+                 {least_deg:.1} degrees from it (at most {most_deg} here)"
+            );
+            return Err(self.value("grasp: closing", format!("[{}, {}, {}]", c.x, c.y, c.z), &problem));
         }
         Ok(())
     }
@@ -392,8 +419,10 @@ impl Check<'_> {
         let slides = (1..=steps).map(|k| slide_mm * k as f64 / steps as f64);
         let possible_mm = slides.take_while(|mm| is_wire(*mm) && is_wire(-mm)).last().unwrap_or(0.0);
         if possible_mm < slide_mm {
-            let problem =
-                format!("the wire ends or bends so far from position_mm; {possible_mm:.1} mm are possible");
+            let problem = format!(
+                "the wire ends or bends so far from position_mm, or approach × closing is not quite its direction; \
+                 {possible_mm:.1} mm are possible"
+            );
             return Err(self.value("grasp: slide_mm", slide_mm, &problem));
         }
         Ok(())

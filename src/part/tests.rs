@@ -74,6 +74,31 @@ fn a_grasp_lies_on_the_wire() {
 }
 
 #[test]
+fn a_grasp_closes_across_the_wire_and_not_beyond_its_end() {
+    let with = |position: &str, closing: &str| {
+        let rod =
+            fs::read_to_string(format!("{}/replay/parts/rod-90.toml", env!("CARGO_MANIFEST_DIR"))).unwrap();
+        let rod = rod.replace("position_mm = [0.0, 0.0, 0.0]", position);
+        Part::parse(&rod.replace("closing = [0.0, 1.0, 0.0]", closing), "r.toml").map_err(|e| e.to_string())
+    };
+    let (middle, across) = ("position_mm = [0.0, 0.0, 0.0]", "closing = [0.0, 1.0, 0.0]");
+    assert!(with("position_mm = [45.0, 0.0, 0.0]", "closing = [0.06, 1.0, 0.0]").is_ok());
+    let beyond = with("position_mm = [46.0, 0.0, 0.0]", across).unwrap_err();
+    assert!(beyond.contains("position_mm = [46, 0, 0]: is 1.00 mm beyond the wire's end b"), "{beyond}");
+    for (closing, deg) in
+        [("closing = [0.17633, 1.0, 0.0]", "10.0"), ("closing = [0.7071, 0.7071, 0.0]", "45.0")]
+    {
+        let askew = with(middle, closing).unwrap_err();
+        assert!(askew.contains(&format!("{deg} degrees from it (at most 5 here)")), "{askew}");
+    }
+    // Where the wire bends it has more than one direction.
+    let hook = fs::read_to_string(format!("{}/replay/parts/hook.toml", env!("CARGO_MANIFEST_DIR"))).unwrap();
+    let corner = hook.replace("position_mm = [25.0, 0.0, 0.0]", "position_mm = [1.0, 1.0, 0.0]");
+    let corner = corner.replace(across, "closing = [0.7071, 0.7071, 0.0]");
+    assert!(Part::parse(&corner, "h.toml").is_ok());
+}
+
+#[test]
 fn wire_too_long_for_its_thickness_is_refused() {
     let rod = |thickness_mm: f64| {
         Part::parse(
@@ -260,7 +285,7 @@ fn what_is_wrong_in_a_part_file_is_named() {
         (
             "width_mm = 8.0",
             "width_mm = 8.0\nslide_mm = 40.0",
-            "grasp: slide_mm = 40: the wire ends or bends so far from position_mm; 15.",
+            "grasp: slide_mm = 40: the wire ends or bends so far from position_mm, or approach × closing is not quite its direction; 15.",
         ),
         ("width_mm = 8.0", "width_mm = 8.0\nslide_mm = -1.0", "grasp: slide_mm = -1: must be 0 to"),
         ("[[edge]]\nfrom = \"c\"\nto = \"j\"\nvia = []", "", "node c is on no edge"),

@@ -89,10 +89,11 @@ impl Canvas {
         self.shade(low, high, colour, |p| 0.5 * width + 0.5 - distance(p));
     }
 
-    /// A smooth circle of 1.5 pixels' width.
-    pub fn ring(&mut self, centre: Vector2<f64>, radius: f64, colour: Colour) {
-        let reach = Vector2::repeat(radius + 2.0);
-        self.shade(centre - reach, centre + reach, colour, |p| 1.25 - ((p - centre).norm() - radius).abs());
+    /// A smooth circle of `width` pixels.
+    pub fn ring(&mut self, centre: Vector2<f64>, radius: f64, width: f64, colour: Colour) {
+        let reach = Vector2::repeat(radius + 0.5 * width + 1.0);
+        let off = |p: Vector2<f64>| ((p - centre).norm() - radius).abs();
+        self.shade(centre - reach, centre + reach, colour, |p| 0.5 * width + 0.5 - off(p));
     }
 
     /// A smooth disc.
@@ -197,7 +198,7 @@ mod tests {
         }
         canvas.line(Vector2::new(f64::NAN, 2.0), Vector2::new(1e300, 2.0), 1.0, [1, 1, 1]);
         canvas.disc(Vector2::new(1e12, -1e12), 3.0, [1, 1, 1]);
-        canvas.ring(Vector2::new(4.0, 2.0), 2.0, [9, 9, 9]);
+        canvas.ring(Vector2::new(4.0, 2.0), 2.0, 1.5, [9, 9, 9]);
         assert_eq!((canvas.pixel(4, 0), canvas.pixel(4, 2)), ([9, 9, 9], [200, 100, 50]));
     }
 

@@ -6,6 +6,7 @@
 mod canvas;
 mod font;
 pub mod overlay;
+mod places;
 pub mod stages;
 
 pub use canvas::{Canvas, Colour};

@@ -4,7 +4,7 @@
 //! |---|---|
 //! | skeleton, nodes | thin, grey-green; ends are small rings, junctions small discs |
 //! | segments between matched nodes | blue, along the wire; thinner where the part cannot be picked |
-//! | fitness | red, behind the part's rank |
+//! | fitness | red, behind the part's rank and, where there are several kinds, its name |
 //! | grasp | where the tool comes down: closing direction of the fingers red, wire green, approach yellow |
 //!
 //! ```
@@ -46,6 +46,7 @@
 use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 
 use super::canvas::{Canvas, Colour};
+use super::places::{Places, scale_of};
 use crate::frame::Frame;
 use crate::part::Part;
 use crate::recognize::FoundPart;
@@ -99,28 +100,27 @@ impl Overlay<'_> {
         for (side, offset_px) in offsets.into_iter().enumerate() {
             let offset = Vector2::new(offset_px as f64, 0.0);
             canvas.put_frame(self.frames[side], offset_px);
-            graph(&mut canvas, self.graphs[side], offset);
-            let view = View { side, offset, overlay: self };
-            let labels = view.label_places(&canvas);
+            let scale = scale_of(self.frames[side].width);
+            graph(&mut canvas, self.graphs[side], offset, scale as f64);
+            let view = View { side, offset, scale, overlay: self };
             // the best on top
-            for (i, found) in self.found.iter().enumerate().rev() {
+            for found in self.found.iter().rev() {
                 view.part(&mut canvas, found);
                 view.grasp(&mut canvas, found);
-                if let Some(at) = labels[i] {
-                    canvas.text(at, &label(i + 1, found), label_scale(&canvas), FITNESS);
-                }
             }
+            view.labels(&mut canvas);
         }
         if !self.caption.is_empty() {
-            let low = canvas.height() as f64 - 20.0;
-            canvas.text(Vector2::new(4.0, low), self.caption, 2, TEXT);
+            let scale = 2 * scale_of(left.width);
+            let low = (canvas.height() - (10 * scale).min(canvas.height())) as f64;
+            canvas.text(Vector2::new(4.0, low), self.caption, scale, TEXT);
         }
         canvas
     }
 }
 
 /// Skeleton and nodes, thin.
-fn graph(canvas: &mut Canvas, (graph, halvings): (&Graph, usize), offset: Vector2<f64>) {
+fn graph(canvas: &mut Canvas, (graph, halvings): (&Graph, usize), offset: Vector2<f64>, wide: f64) {
     let pixel = 1i64 << halvings;
     for &[x, y] in &graph.points {
         let [x, y] = [i64::from(x) * pixel + offset.x as i64, i64::from(y) * pixel];
@@ -131,8 +131,8 @@ fn graph(canvas: &mut Canvas, (graph, halvings): (&Graph, usize), offset: Vector
     for node in &graph.nodes {
         let at = in_whole(Vector2::from(node.position_px.map(f64::from)), halvings) + offset;
         match node.kind {
-            NodeKind::End => canvas.ring(at, 2.5, END),
-            NodeKind::Junction => canvas.disc(at, 1.5, JUNCTION),
+            NodeKind::End => canvas.ring(at, 2.5 * wide, 1.5 * wide, END),
+            NodeKind::Junction => canvas.disc(at, 1.5 * wide, JUNCTION),
         }
     }
 }
@@ -141,6 +141,8 @@ fn graph(canvas: &mut Canvas, (graph, halvings): (&Graph, usize), offset: Vector
 struct View<'a> {
     side: usize,
     offset: Vector2<f64>,
+    /// See [`scale_of`].
+    scale: usize,
     overlay: &'a Overlay<'a>,
 }
 
@@ -156,8 +158,13 @@ impl View<'_> {
 
     fn line(&self, canvas: &mut Canvas, from: Point3<f64>, to: Point3<f64>, width: f64, colour: Colour) {
         if let (Some(from), Some(to)) = (self.project(&from), self.project(&to)) {
-            canvas.line(from, to, width, colour);
+            canvas.line(from, to, width * self.scale as f64, colour);
         }
+    }
+
+    fn ring(&self, canvas: &mut Canvas, at: Vector2<f64>, radius: f64, colour: Colour) {
+        let wide = self.scale as f64;
+        canvas.ring(at, radius * wide, 1.5 * wide, colour);
     }
 
     /// The segments between the nodes, along the wire.
@@ -172,81 +179,66 @@ impl View<'_> {
         }
         for node in &found.nodes {
             if let Some(px) = self.project(&node.left_mm) {
-                canvas.ring(px, 4.0, colour);
+                self.ring(canvas, px, 4.0, colour);
             }
         }
     }
 
     fn grasp(&self, canvas: &mut Canvas, found: &FoundPart) {
         let left_from_base = self.overlay.base_from_left.inverse();
-        let grasp = &found.grasp;
-        let at = left_from_base * grasp.position_mm;
-        let axis = |unit: Vector3<f64>| left_from_base * (grasp.orientation * unit);
+        let at = left_from_base * found.grasp.position_mm;
+        let axis = |unit: Vector3<f64>| left_from_base * (found.grasp.orientation * unit);
         if found.blocked.is_some() {
             if let Some(px) = self.project(&at) {
-                canvas.ring(px, 3.0, SEGMENT_BLOCKED);
+                self.ring(canvas, px, 3.0, SEGMENT_BLOCKED);
             }
             return;
         }
-        // the fingers: from outside to where they stand before they close
-        let closing = axis(Vector3::x());
-        let half = 0.5 * grasp.opening_mm;
-        for side in [-1.0, 1.0] {
-            let finger = at + closing * (side * half);
-            self.line(canvas, finger, finger + closing * (side * 0.5 * AXIS_MM), 2.0, CLOSING);
-            let wire = axis(Vector3::y()) * 3.0;
-            self.line(canvas, finger - wire, finger + wire, 2.0, CLOSING);
+        for [from, to] in self.fingers(found).into_iter().flatten() {
+            self.line(canvas, from, to, 2.0, CLOSING);
         }
         self.line(canvas, at, at + axis(Vector3::y()) * AXIS_MM, 2.0, WIRE);
         self.line(canvas, at, at - axis(Vector3::z()) * AXIS_MM, 2.0, APPROACH);
         if let Some(px) = self.project(&at) {
-            canvas.disc(px, 2.5, APPROACH);
+            canvas.disc(px, 2.5 * self.scale as f64, APPROACH);
         }
     }
 
-    /// Where rank and fitness of each part stand: beside its grasp, or as far below that as there is no other's. The best have
-    /// the first choice.
-    fn label_places(&self, canvas: &Canvas) -> Vec<Option<Vector2<f64>>> {
-        let mut taken: Vec<(Vector2<f64>, Vector2<f64>)> = Vec::new();
-        let place = |(i, found): (usize, &FoundPart)| {
-            let at = self.overlay.base_from_left.inverse() * found.grasp.position_mm;
-            let size = Canvas::text_size(&label(i + 1, found), label_scale(canvas));
-            let beside = self.project(&at)? + Vector2::new(9.0, -13.0);
-            let is_free = |at: &Vector2<f64>| !taken.iter().any(|other| overlap(&(*at, size), other));
-            let below = (0..LABELS_ASIDE_MAX).map(|k| beside + Vector2::new(0.0, k as f64 * size.y));
-            let free = below.into_iter().find(is_free).unwrap_or(beside);
-            taken.push((free, size));
-            Some(free)
-        };
-        self.overlay.found.iter().enumerate().map(place).collect()
+    /// The marks of both fingers, each two lines: from outside to where it stands before they close, and its breadth.
+    fn fingers(&self, found: &FoundPart) -> [[[Point3<f64>; 2]; 2]; 2] {
+        let left_from_base = self.overlay.base_from_left.inverse();
+        let axis = |unit: Vector3<f64>| left_from_base * (found.grasp.orientation * unit);
+        let (closing, wire) = (axis(Vector3::x()), axis(Vector3::y()) * 3.0);
+        [-1.0, 1.0].map(|side| {
+            let finger =
+                left_from_base * found.grasp.position_mm + closing * (side * 0.5 * found.grasp.opening_mm);
+            [[finger, finger + closing * (side * 0.5 * AXIS_MM)], [finger - wire, finger + wire]]
+        })
     }
-}
 
-/// A label goes at most so many of its heights down to lie on no other.
-const LABELS_ASIDE_MAX: usize = 4;
-
-/// Rank and fitness.
-fn label(rank: usize, found: &FoundPart) -> String {
-    format!("{rank}: {:.3}", found.fitness)
-}
-
-fn label_scale(canvas: &Canvas) -> usize {
-    if canvas.width() > 2000 { 3 } else { 1 }
-}
-
-/// Whether two boxes, each its upper left corner and size, share anything.
-fn overlap(a: &(Vector2<f64>, Vector2<f64>), b: &(Vector2<f64>, Vector2<f64>)) -> bool {
-    [0, 1].into_iter().all(|k| a.0[k] < b.0[k] + b.1[k] && b.0[k] < a.0[k] + a.1[k])
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn boxes_overlap_where_they_share_a_place() {
-        let at = |x: f64, y: f64| (Vector2::new(x, y), Vector2::new(40.0, 10.0));
-        assert!(overlap(&at(0.0, 0.0), &at(39.0, -9.0)) && overlap(&at(0.0, 0.0), &at(0.0, 0.0)));
-        assert!(!overlap(&at(0.0, 0.0), &at(40.0, 0.0)) && !overlap(&at(0.0, 0.0), &at(3.0, 10.0)));
+    /// Rank and fitness of each part, beside its grasp and on no finger. The best have the first choice.
+    fn labels(&self, canvas: &mut Canvas) {
+        let frame = self.overlay.frames[self.side];
+        let size = Vector2::new(frame.width as f64, frame.height as f64);
+        let mut places = Places::new(self.offset, self.offset + size);
+        for found in self.overlay.found.iter().filter(|found| found.blocked.is_none()) {
+            for [from, to] in self.fingers(found).into_iter().flatten() {
+                if let (Some(from), Some(to)) = (self.project(&from), self.project(&to)) {
+                    places.take(from.inf(&to).add_scalar(-1.0), from.sup(&to).add_scalar(1.0));
+                }
+            }
+        }
+        let left_from_base = self.overlay.base_from_left.inverse();
+        for (i, found) in self.overlay.found.iter().enumerate() {
+            let Some(at) = self.project(&(left_from_base * found.grasp.position_mm)) else { continue };
+            let name = self.overlay.parts.get(found.part).filter(|_| self.overlay.parts.len() > 1);
+            let name = name.map(|part| format!(" {}", part.name)).unwrap_or_default();
+            let label = format!("{}{name}: {:.3}", i + 1, found.fitness);
+            let gap = Vector2::new(9.0, 13.0) * self.scale as f64;
+            // A blank behind it keeps the next one apart.
+            let size = Canvas::text_size(&(label.clone() + " "), self.scale);
+            let corner = places.beside(at, gap, size);
+            canvas.text(corner, &label, self.scale, FITNESS);
+        }
     }
 }

@@ -3,6 +3,7 @@
 use nalgebra::Vector2;
 
 use super::canvas::{Canvas, Colour};
+use super::places::{Places, scale_of};
 use crate::vision::bits::BitImage;
 use crate::vision::graph::{Graph, NONE, NodeKind};
 
@@ -41,13 +42,23 @@ pub fn graph(mask: &BitImage, graph: &Graph) -> Canvas {
             }
         }
     }
+    let scale = scale_of(mask.width());
+    let wide = scale as f64;
+    let picture = Vector2::new(mask.width() as f64, mask.height() as f64);
+    let mut places = Places::new(Vector2::zeros(), picture);
     for (i, node) in graph.nodes.iter().enumerate() {
         let at = place(i as u32);
         match node.kind {
-            NodeKind::End => canvas.ring(at, 3.0, END),
-            NodeKind::Junction => canvas.disc(at, 2.0, JUNCTION),
+            NodeKind::End => canvas.ring(at, 3.0 * wide, 1.5 * wide, END),
+            NodeKind::Junction => canvas.disc(at, 2.0 * wide, JUNCTION),
         }
-        canvas.text(at + Vector2::new(5.0, -10.0), &i.to_string(), 1, [255; 3]);
+        places.take(at.add_scalar(-3.0 * wide), at.add_scalar(3.0 * wide));
+    }
+    for i in 0..graph.nodes.len() {
+        let text = i.to_string();
+        let gap = Vector2::new(5.0, 10.0) * wide;
+        let corner = places.beside(place(i as u32), gap, Canvas::text_size(&text, scale));
+        canvas.text(corner, &text, scale, [255; 3]);
     }
     canvas
 }

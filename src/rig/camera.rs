@@ -54,7 +54,8 @@ impl CameraModel {
     }
 
     /// Where a point of the camera's frame (OpenCV axes, any one unit of length) is seen: distorted pixels. `None`
-    /// where it is not in front of the camera or not finite. The picture's border is not looked at; far outside of
+    /// where it is not in front of the camera, or its pixel is not finite (what is infinitely far in front, its x and y
+    /// finite, is seen at the principal point). The picture's border is not looked at; far outside of
     /// the field of view (as a rule beyond 1.5 times the corner's radius) strong barrel distortion folds over,
     /// here as in OpenCV.
     #[inline]

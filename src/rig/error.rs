@@ -39,8 +39,16 @@ pub enum RigError {
         path: PathBuf,
         /// The key.
         key: String,
-        /// What it would be.
-        remedy: &'static str,
+        /// What it would be, and what is there.
+        remedy: String,
+    },
+    /// Another format.
+    #[error("calibration {path}: is {format}; write it as YAML: OpenCV's FileStorage does so where the name ends in .yml", path = .path.display())]
+    Foreign {
+        /// The file.
+        path: PathBuf,
+        /// `XML` or `JSON`.
+        format: &'static str,
     },
     /// A key has a value that cannot be.
     #[error("calibration {path}: {key} = {value}: {problem}", path = .path.display())]

@@ -20,6 +20,8 @@ const FOCAL_WIDTHS: RangeInclusive<f64> = 0.04..=100.0;
 const UNDONE_PX_MAX: f64 = 0.5;
 /// How many times the tangent of a ray's angle a lens may make of it, or the other way round, half way out.
 const TURNED_MAX: f64 = 4.0;
+/// So many of a file's keys are named where one is missing.
+const KEYS_SHOWN_MAX: usize = 12;
 /// Sides of a picture beyond this are refused.
 const SIDE_MAX_PX: usize = 8192;
 
@@ -62,7 +64,16 @@ impl Rig {
         if opencv.is_file() {
             return File::read(&opencv)?.opencv();
         }
-        Err(RigError::Pair { path: folder.to_owned(), wanted: "left" })
+        let failed = |source| RigError::Read { path: folder.to_owned(), source };
+        let there = folder.read_dir().map_err(failed)?.filter_map(|entry| Some(entry.ok()?.path()));
+        let yaml = there.filter(|path| path.extension().is_some_and(|e| e == "yaml" || e == "yml"));
+        let mut pairs: Vec<_> = yaml.filter_map(|path| pair_of(&path).ok()).collect();
+        pairs.sort();
+        pairs.dedup();
+        match &pairs[..] {
+            [(left, right)] => ros(&File::read(left)?, &File::read(right)?),
+            _ => Err(RigError::Pair { path: folder.to_owned(), wanted: "left" }),
+        }
     }
 
     /// Writes the rig as OpenCV FileStorage YAML, whole or not at all. [`Rig::read`] gives the same numbers back, R
@@ -127,6 +138,14 @@ fn pair_of(path: &Path) -> Result<(PathBuf, PathBuf), RigError> {
 fn ros(left: &File, right: &File) -> Result<Rig, RigError> {
     let (left_camera, left_rotation, left_shift_mm) = left.ros_camera()?;
     let (right_camera, right_rotation, right_shift_mm) = right.ros_camera()?;
+    if left_shift_mm.norm() > 0.0 && right_shift_mm.norm() == 0.0 {
+        let problem = format!(
+            "it is 0 for the left camera; in {} it is 0: exchange the two files, or their names",
+            right.path.display()
+        );
+        let baseline_m = short(left_shift_mm.norm() / 1000.0);
+        return Err(left.value("projection_matrix[0,3] / [0,0]", &baseline_m, &problem));
+    }
     let shift_mm = right_shift_mm - left_shift_mm;
     let rotation = right_rotation.inverse() * left_rotation;
     let translation = right_rotation.inverse() * shift_mm;
@@ -178,7 +197,13 @@ impl File {
         let bytes = read_bytes(path).map_err(failed)?;
         let text = String::from_utf8_lossy(&bytes);
         // Some editors put a byte-order mark before the text.
-        let entries = yaml::parse(text.trim_start_matches('\u{feff}')).map_err(|e| syntax(path, &e))?;
+        let text = text.trim_start_matches('\u{feff}');
+        for (begin, format) in [('<', "XML"), ('{', "JSON")] {
+            if text.trim_start().starts_with(begin) {
+                return Err(RigError::Foreign { path: path.to_owned(), format });
+            }
+        }
+        let entries = yaml::parse(text).map_err(|e| syntax(path, &e))?;
         if entries.is_empty() {
             let empty = yaml::SyntaxError { line: 1, problem: "no key in it".into() };
             return Err(syntax(path, &empty));
@@ -191,6 +216,18 @@ impl File {
     }
 
     fn opencv(&self) -> Result<Rig, RigError> {
+        let [has_cameras, has_geometry] =
+            [["M1", "M2"], ["R", "T"]].map(|keys| keys.iter().all(|k| self.has(k)));
+        if has_cameras && !["R", "T"].iter().any(|k| self.has(k))
+            || has_geometry && self.has("Q") && !self.has("M1")
+        {
+            let key = if has_cameras { "T" } else { "M1" };
+            return Err(self.missing(
+                key,
+                "OpenCV's stereo sample writes two files: join intrinsics.yml and extrinsics.yml to one, and add \
+                 `image_width: 640` and `image_height: 480`, the size of the pictures",
+            ));
+        }
         let left = self.camera("M1", "D1")?;
         let right = self.camera("M2", "D2")?;
         let rotation = self.rotation("R")?;
@@ -387,8 +424,11 @@ impl File {
         Ok(matrix)
     }
 
-    fn missing(&self, key: &str, what: &'static str) -> RigError {
-        RigError::Missing { path: self.path.clone(), key: key.to_owned(), remedy: what }
+    fn missing(&self, key: &str, what: &str) -> RigError {
+        let there: Vec<&str> =
+            self.entries.iter().map(|(key, _)| key.as_str()).take(KEYS_SHOWN_MAX).collect();
+        let remedy = format!("{what}; the file has {}", there.join(", "));
+        RigError::Missing { path: self.path.clone(), key: key.to_owned(), remedy }
     }
 
     fn shape(&self, key: &str, m: &Matrix, allowed: &str) -> RigError {

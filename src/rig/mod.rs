@@ -31,6 +31,9 @@ pub use error::RigError;
 pub use geometry::{StereoGeometry, Triangulated};
 pub use table::UndistortTable;
 
+/// Baselines outside of this are most likely centimetres, metres or a slip, in mm.
+const USUAL_BASELINE_MM: std::ops::RangeInclusive<f64> = 15.0..=2000.0;
+
 /// Two cameras and how they stand to each other.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rig {
@@ -98,6 +101,24 @@ impl Rig {
     /// Distance of the two cameras' centres in mm.
     pub fn baseline_mm(&self) -> f64 {
         self.right_from_left.translation.vector.norm()
+    }
+
+    /// What may be wrong with where the cameras stand, though it can be: a slip of units, or T the wrong way round, after which
+    /// nothing is recognised.
+    pub fn doubt(&self) -> Option<String> {
+        let baseline_mm = self.baseline_mm();
+        if !USUAL_BASELINE_MM.contains(&baseline_mm) {
+            return Some(format!(
+                "the cameras stand {baseline_mm:.1} mm apart: T must be in millimetres (not in centimetres or metres), P[0,3] \
+                 of ROS files in metres; see whether it is"
+            ));
+        }
+        (self.right_from_left.translation.x > 0.5 * baseline_mm).then(|| {
+            "the right camera stands at the left of the left one: T may be the wrong way round (it is the left camera's origin \
+             in the right camera's frame, its x below 0 as a rule, as the right camera's P[0,3] of ROS files), or the cameras \
+             are exchanged; see whether they are"
+                .to_owned()
+        })
     }
 
     /// The right camera's optical centre, mm, in the left camera's frame.

@@ -377,3 +377,76 @@ fn what_is_wrong_in_a_ros_pair_is_named() {
     let message = Rig::read(folder.path()).unwrap_err().to_string();
     assert!(message.contains("projection_matrix = [0, 0, 0]: a baseline of 0 mm"), "{message}");
 }
+
+/// The rig of the conveyor's file with another T.
+fn with_translation(t: &str) -> Rig {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("rig.yaml");
+    let text = fs::read_to_string(conveyor()).unwrap();
+    let was = "-63.789745829089803, 0.47779105799731192, 9.0038338196653172";
+    assert!(text.contains(was));
+    fs::write(&path, text.replacen(was, t, 1)).unwrap();
+    Rig::read(&path).unwrap()
+}
+
+#[test]
+fn a_translation_the_wrong_way_round_or_in_centimetres_is_doubted() {
+    assert_eq!(rig().doubt(), None);
+    let turned =
+        with_translation("63.789745829089803, -0.47779105799731192, -9.0038338196653172").doubt().unwrap();
+    assert!(turned.contains("T may be the wrong way round"), "{turned}");
+    let short =
+        with_translation("-6.3789745829089803, 0.047779105799731192, 0.90038338196653172").doubt().unwrap();
+    assert!(short.contains("stand 6.4 mm apart: T must be in millimetres (not in centimetres"), "{short}");
+}
+
+#[test]
+fn files_of_opencvs_stereo_sample_of_other_names_and_formats_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("intrinsics.yml");
+    let text = fs::read_to_string(conveyor()).unwrap();
+    let (m1, r) = (text.find("M1:").unwrap(), text.find("\nR:").unwrap() + 1);
+    let refusal = |text: &str| {
+        fs::write(&path, text).unwrap();
+        Rig::read(&path).unwrap_err().to_string()
+    };
+    let intrinsics = refusal(&text[m1..r]);
+    assert!(
+        intrinsics.contains("T is missing; OpenCV's stereo sample writes two files: join"),
+        "{intrinsics}"
+    );
+    let q = text[r..].replacen("\nT:", "\nQ: 1\nT:", 1);
+    let extrinsics = refusal(&q);
+    assert!(
+        extrinsics.contains("M1 is missing; OpenCV's stereo sample writes two files: join"),
+        "{extrinsics}"
+    );
+    assert!(extrinsics.ends_with("; the file has R, Q, T"), "{extrinsics}");
+    let other = refusal(&text.replace("M1:", "cameraMatrix1:"));
+    assert!(
+        other.contains("M1 is missing; the 3x3") && other.contains("image_height, cameraMatrix1, D1"),
+        "{other}"
+    );
+    for (text, format) in
+        [("<?xml version=\"1.0\"?>\n", "is XML; write it as YAML"), ("{\n", "is JSON; write it")]
+    {
+        let message = refusal(text);
+        assert!(message.contains(format), "{message}");
+    }
+}
+
+#[test]
+fn ros_pairs_of_other_names_are_read_by_their_folder_and_exchanged_ones_refused() {
+    let from = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/ros-camera-info");
+    let folder = tempfile::tempdir().unwrap();
+    let [left, right] = ["ost_left.yaml", "ost_right.yaml"].map(|name| folder.path().join(name));
+    fs::copy(from.join("left_camera_info.yaml"), &left).unwrap();
+    fs::copy(from.join("right_camera_info.yaml"), &right).unwrap();
+    fs::write(folder.path().join("notes.yaml"), "a: 1").unwrap();
+    assert_eq!(Rig::read(folder.path()).unwrap(), Rig::read(&left).unwrap());
+    fs::copy(from.join("left_camera_info.yaml"), &right).unwrap();
+    fs::copy(from.join("right_camera_info.yaml"), &left).unwrap();
+    let message = Rig::read(folder.path()).unwrap_err().to_string();
+    assert!(message.contains("ost_left.yaml: projection_matrix[0,3] / [0,0] = "), "{message}");
+    assert!(message.contains("ost_right.yaml it is 0: exchange the two files"), "{message}");
+}

@@ -88,11 +88,9 @@ fn error(line_index: usize, problem: String) -> SyntaxError {
 /// The value of a key whose line is `begin` (counted from 0) and whose lines below it are `body`.
 fn value(key: &str, first: &str, body: &[&str], begin: usize) -> Result<Value, SyntaxError> {
     let tag = first.strip_prefix("!!opencv-matrix").map(str::trim);
-    if first.starts_with('[') || (first.is_empty() && body.iter().any(|l| l.trim_start().starts_with("- "))) {
-        let is_map = body.iter().any(|l| field(l).is_some());
-        if is_map {
-            return Ok(Value::Other);
-        }
+    // A map may hold a list, as PyYAML writes `data`, and is none.
+    let is_list = || body.iter().find(|l| !is_nothing(l)).is_some_and(|l| l.trim_start().starts_with("- "));
+    if first.starts_with('[') || (first.is_empty() && is_list()) {
         return Ok(match numbers(key, first, body, begin, begin + 1)? {
             Some(data) => Value::Matrix(Matrix { rows: 1, columns: data.len(), data }),
             None => Value::Other,
@@ -223,7 +221,7 @@ mod tests {
     fn opencv_and_ros_forms_are_read_and_foreign_ones_skipped() {
         let text = "%YAML:1.0\n---\n# note\nimage_width: 640 # px\nname: \"a rig\"\nM1: !!opencv-matrix\n   rows: 1\n   \
                     cols: 3\n   dt: d\n   data: [ 1., -2.5e-03,\n       .Nan ]\nros:\n  rows: 1\n  cols: 2\n  data: [3, 4]\n\
-                    k:\n- 1.0\n- 2.0\nmap:\n  a: 1\nnames: [ a, b ]\nlist:\n   - { x: 1 }\n";
+                    py:\n  cols: 2\n  data:\n  - 5.5\n  - -6.0e-1\n  rows: 1\nk:\n- 1.0\n- 2.0\nmap:\n  a: 1\nnames: [ a, b ]\nlist:\n   - { x: 1 }\n";
         let entries = parse(text).unwrap();
         let get = |k: &str| entries.iter().find(|(key, _)| key == k).unwrap().1.clone().unwrap();
         assert_eq!(get("image_width"), Value::Scalar("640".into()));
@@ -232,6 +230,7 @@ mod tests {
         assert_eq!((m.rows, m.columns, m.data[1]), (1, 3, -0.0025));
         assert!(m.data[2].is_nan());
         assert_eq!(get("ros"), Value::Matrix(Matrix { rows: 1, columns: 2, data: vec![3.0, 4.0] }));
+        assert_eq!(get("py"), Value::Matrix(Matrix { rows: 1, columns: 2, data: vec![5.5, -0.6] }));
         assert_eq!(get("k"), Value::Matrix(Matrix { rows: 1, columns: 2, data: vec![1.0, 2.0] }));
         assert_eq!((get("map"), get("names"), get("list")), (Value::Other, Value::Other, Value::Other));
     }

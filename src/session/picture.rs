@@ -3,7 +3,8 @@
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-use image::{ColorType, DynamicImage, ImageFormat, ImageReader};
+use image::metadata::Orientation;
+use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 
 use prost::Message;
 
@@ -33,6 +34,21 @@ pub enum PictureError {
         path: PathBuf,
         /// What the decoder said, on one line.
         reason: String,
+    },
+    /// Without bytes.
+    #[error("{}: is empty; record or copy it again", path.display())]
+    Empty {
+        /// The file.
+        path: PathBuf,
+    },
+    /// To be turned before it is looked at, as OpenCV does and a camera of a cell does not.
+    #[error(
+        "{}: its EXIF orientation says that it is to be turned or mirrored; OpenCV does so, so that for a calibration made with it the \
+         pixels are to be turned (`mogrify -auto-orient`), else take the mark away (`exiftool -Orientation=`)", path.display()
+    )]
+    Turned {
+        /// The file.
+        path: PathBuf,
     },
     /// Neither PNG nor JPEG by its first bytes.
     #[error("{}: neither a png nor a jpg picture; record it as one of them, or convert it", path.display())]
@@ -95,7 +111,18 @@ pub enum PictureError {
 pub fn read_picture(path: &Path) -> Result<Frame, PictureError> {
     let bytes =
         std::fs::read(path).map_err(|reason| PictureError::Unreadable { path: path.to_owned(), reason })?;
+    // Messages of a recording are as their camera sent them, and played as such.
+    if is_to_be_turned(&bytes) {
+        return Err(PictureError::Turned { path: path.to_owned() });
+    }
     from_file(bytes, path)
+}
+
+/// Whether the EXIF orientation of a picture is another than 1.
+fn is_to_be_turned(bytes: &[u8]) -> bool {
+    let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().ok();
+    let orientation = reader.and_then(|reader| reader.into_decoder().ok()?.orientation().ok());
+    orientation.is_some_and(|orientation| orientation != Orientation::NoTransforms)
 }
 
 /// Reads a picture file as [`read_picture`] does, but decodes a JPEG too.
@@ -108,6 +135,9 @@ pub fn read_raw_picture(path: &Path) -> Result<Frame, PictureError> {
 
 /// The bytes of a png or jpg file; `path` is where they are from.
 fn from_file(bytes: Vec<u8>, path: &Path) -> Result<Frame, PictureError> {
+    if bytes.is_empty() {
+        return Err(PictureError::Empty { path: path.to_owned() });
+    }
     let broken = |error: image::ImageError| broken(path, error);
     let format = image::guess_format(&bytes).map_err(|_| PictureError::Foreign { path: path.to_owned() })?;
     let reader = || ImageReader::with_format(Cursor::new(&bytes), format);
@@ -134,7 +164,12 @@ fn from_file(bytes: Vec<u8>, path: &Path) -> Result<Frame, PictureError> {
 const PNG_END: &[u8] = b"IEND\xae\x42\x60\x82";
 
 fn broken(path: &Path, error: image::ImageError) -> PictureError {
-    PictureError::Broken { path: path.to_owned(), reason: on_one_line(error) }
+    let mut reason = on_one_line(error);
+    // The decoder shows what it is made of.
+    if reason.contains("CRC error") {
+        reason = "a checksum is wrong".to_owned();
+    }
+    PictureError::Broken { path: path.to_owned(), reason }
 }
 
 fn check_size(width: u32, height: u32, path: &Path) -> Result<(), PictureError> {
@@ -233,6 +268,14 @@ mod tests {
         let message = |name: &str| read_picture(&at(name)).unwrap_err().to_string();
         assert!(message("cut.png").contains("cut.png: not a whole png or jpg picture"));
         assert!(message("text.jpg").contains("text.jpg: neither a png nor a jpg picture; record it as one"));
+        std::fs::write(at("empty.png"), "").unwrap();
+        assert!(message("empty.png").ends_with("empty.png: is empty; record or copy it again"));
+        let mut changed = whole.clone();
+        let at_checksum = whole.windows(4).position(|bytes| bytes == b"IDAT").unwrap() - 9;
+        changed[at_checksum] ^= 1;
+        std::fs::write(at("changed.png"), changed).unwrap();
+        let changed = message("changed.png");
+        assert!(changed.contains("not a whole png or jpg picture (a checksum is wrong)"), "{changed}");
         let missing = message("none.png");
         assert!(missing.contains("none.png: cannot read it: No such file or directory"), "{missing}");
         assert!(missing.ends_with("; give the path of a png or jpg picture"), "{missing}");
@@ -251,6 +294,27 @@ mod tests {
         }
         std::fs::write(&path, [&whole[..], b"and what some programs put behind it"].concat()).unwrap();
         assert!(read_picture(&path).is_ok());
+    }
+
+    #[test]
+    fn a_picture_that_is_to_be_turned_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        image::RgbImage::new(8, 8).save(at("a.jpg")).unwrap();
+        let jpeg = std::fs::read(at("a.jpg")).unwrap();
+        for orientation in [1, 6] {
+            // A directory of one entry: the orientation.
+            let tiff = b"MM\0\x2a\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0";
+            let tiff = [&tiff[..], &[orientation, 0, 0, 0, 0, 0, 0]].concat();
+            let length = [0, 2 + 6 + tiff.len() as u8];
+            let app1 = [b"\xff\xe1", &length[..], b"Exif\0\0", &tiff].concat();
+            std::fs::write(at("b.jpg"), [&jpeg[..2], &app1, &jpeg[2..]].concat()).unwrap();
+            let read = read_picture(&at("b.jpg"));
+            match orientation {
+                1 => assert!(read.is_ok()),
+                _ => assert!(read.unwrap_err().to_string().contains("b.jpg: its EXIF orientation says")),
+            }
+        }
     }
 
     #[test]

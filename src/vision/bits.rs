@@ -59,19 +59,29 @@ impl BitImage {
     }
 
     /// The rows of strip `s`, without padding.
+    ///
+    /// # Panics
+    /// Where there is no strip `s`.
     pub fn strip(&self, s: usize) -> &[u64] {
         let begin = s * self.strip_stride() + PAD_ROWS;
         &self.words[begin..begin + self.height]
     }
 
     /// The rows of strip `s`, without padding.
+    ///
+    /// # Panics
+    /// Where there is no strip `s`.
     pub fn strip_mut(&mut self, s: usize) -> &mut [u64] {
         let begin = s * self.strip_stride() + PAD_ROWS;
         &mut self.words[begin..begin + self.height]
     }
 
     /// The bits that exist in a word of strip `s`.
+    ///
+    /// # Panics
+    /// Where there is no strip `s`.
     pub fn strip_mask(&self, s: usize) -> u64 {
+        assert!(s < self.strips(), "strip {s} of {}", self.strips());
         let bits = (self.width - s * 64).min(64);
         if bits == 64 { u64::MAX } else { (1 << bits) - 1 }
     }

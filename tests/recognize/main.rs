@@ -312,12 +312,36 @@ fn a_reader_that_goes_away_is_no_failure() {
 }
 
 #[test]
-fn a_result_that_cannot_be_written_is_a_failed_job() {
+fn a_result_that_cannot_be_written_is_named_with_its_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let taken: PathBuf = folder.path().join("taken.png");
     fs::create_dir(&taken).unwrap();
     let output = recognize(&["--left", LEFT, "--right", RIGHT, "--overlay", taken.to_str().unwrap()]);
-    let message = refusal(&output, 1);
+    let message = refusal(&output, 2);
     assert!(message.contains("taken.png: cannot be written"), "{message}");
+    assert!(message.ends_with("; a folder has this name: give another\n"), "{message}");
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    for option in ["--out", "--stages"] {
+        let output = recognize(&["--left", LEFT, "--right", RIGHT, option, "Cargo.toml"]);
+        let message = refusal(&output, 2);
+        assert!(
+            message.contains("a file has the name of a folder that is needed: give another name"),
+            "{message}"
+        );
+    }
+}
+
+#[test]
+fn pictures_named_after_their_sides_have_the_name_of_their_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = folder.path().join("scene-01");
+    fs::create_dir(&scene).unwrap();
+    let paths = [("left.jpg", LEFT), ("right.jpg", RIGHT)].map(|(name, from)| {
+        fs::copy(format!("{ROOT}/{from}"), scene.join(name)).unwrap();
+        scene.join(name).to_str().unwrap().to_owned()
+    });
+    let out = folder.path().join("out");
+    let output = recognize(&["--left", &paths[0], "--right", &paths[1], "--out", out.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    assert!(out.join("scene-01/results.json").is_file());
 }

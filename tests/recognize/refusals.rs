@@ -19,13 +19,19 @@ fn wrong_usage_names_key_value_and_remedy() {
         (&["--seed", "-1"], "invalid value '-1' for '--seed <N>'"),
         (&["--color-min", "1,2"], "must be three whole numbers from 0 to 255"),
         (&["--color-min", "9,9,300"], "invalid value '9,9,300' for '--color-min"),
-        (&["--color-min", "9,200,9", "--color-max", "99,100,99"], "green goes from 200 to 100"),
+        (
+            &["--color-min", "9,200,9", "--color-max", "99,100,99"],
+            "--color-min/--color-max green goes from 200 to 100",
+        ),
         (
             &["--grey-min", "200", "--grey-max", "100"],
-            "grey_min/grey_max goes from 200 to 100; give a minimum",
+            "--grey-min/--grey-max goes from 200 to 100; give a minimum",
         ),
         (&["--color", "auto", "--grey-min", "3"], "cannot be used with"),
-        (&["--region-px", "0,0", "700,0", "700,400"], "(700, 0), outside the 640x480 picture"),
+        (
+            &["--region-px", "0,0", "700,0", "700,400"],
+            "--region-px: corner 1 is (700, 0), outside the 640x480 picture",
+        ),
         (&["--region-px", "0,0", "9,x", "7,4"], "must be two numbers, x,y in pixels"),
         (
             &["--region-px", "-10,-10", "700,0", "700,400"],
@@ -55,7 +61,11 @@ fn wrong_usage_names_key_value_and_remedy() {
         assert!(message.contains(wanted), "{message}\nwanted: {wanted}");
     }
     for (arguments, wanted) in [
-        (&["recognize"][..], "--calibration <FILE>"),
+        (
+            &["recognize"][..],
+            "no calibration: give --cell FILE, which names all of it, or --calibration FILE and --part",
+        ),
+        (&["recognize", "--calibration", "replay/conveyor/calibration.yaml"], "no part: give --cell FILE"),
         (&["recognize", "--cell", "absent.toml"], "absent.toml"),
         (&["recognise"], "unrecognized subcommand"),
     ] {
@@ -92,6 +102,8 @@ fn a_corner_in_a_cell_says_whose_picture_it_is_outside_of() {
 fn accuracy_prints_no_table_without_its_parts() {
     let message = refusal(&pickcell(&["accuracy", "replay", "--parts", "/nowhere"]), 2);
     assert!(message.contains("part file /nowhere/"), "{message}");
+    let message = refusal(&pickcell(&["accuracy", "replay", "--out", "Cargo.toml"]), 2);
+    assert!(message.contains("--out Cargo.toml: cannot be written: "), "{message}");
 }
 
 #[test]
@@ -119,7 +131,7 @@ fn bad_pictures_are_refused_and_nothing_is_written() {
         ),
         (file(&folder, "cut.jpg", &jpeg[..jpeg.len() / 2]), "cut.jpg: JPEG picture of"),
         (file(&folder, "cut.png", &png[..png.len() / 2]), "cut.png: not a whole png or jpg picture"),
-        (file(&folder, "empty.jpg", b""), "empty.jpg: neither a png nor a jpg picture"),
+        (file(&folder, "empty.jpg", b""), "empty.jpg: is empty; record or copy it again"),
         (file(&folder, "text.png", b"no picture at all"), "text.png: neither a png nor a jpg picture"),
         (
             file(&folder, "small.png", &png),

@@ -419,6 +419,14 @@ fn bad_input_is_named_with_its_remedy_and_ends_with_2() {
     broken(&Cell::new(&[]), &["--cell", "nowhere.toml"], "nowhere.toml: cannot read it");
     broken(&Cell::new(&[]), &["--seed", "abc"], "invalid value 'abc'");
     broken(&Cell::new(&[]), &["--rate", "30"], "--soak");
+    broken(&Cell::new(&[]), &["--soak", "9", "--overlay", "all"], "cannot be used with '--overlay");
+    broken(&Cell::new(&[]), &["--soak", "9", "--lines", "all"], "cannot be used with '--lines");
+    let wide = Cell::new(&[("# pair_window_ms = 13.3", "pair_window_ms = 40.0")]);
+    broken(
+        &wide,
+        &[],
+        "cameras.pair_window_ms = 40 is not possible; allowed: milliseconds above 0, at most half a frame",
+    );
     broken(&Cell::new(&[]), &["--soak", "9", "--rate", "fast"], "from 0.1 to 1000");
     broken(&Cell::new(&[("pace = \"realtime\"", "pace = \"slow\"")]), &[], "pace");
     let cell = Cell::new(&[]);

@@ -3,12 +3,13 @@
 use std::path::Path;
 use std::time::Duration;
 
-use super::Findings;
+use super::{Findings, pair};
 use crate::camera::v4l::list::{self, UsbPort};
 use crate::camera::v4l::{CameraError, V4lCamera};
 use crate::camera::{Condition, Grab};
 use crate::config::{CameraSettings, Cell};
-use crate::frame::{Frame, PixelFormat, TimestampMark};
+use crate::frame::{Frame, FramePair, PixelFormat, TimestampMark};
+use crate::rig::Rig;
 use crate::time::Timestamp;
 
 /// How long the cameras are watched.
@@ -22,7 +23,7 @@ const USB2_BYTES_PER_S: f64 = 24_576_000.0;
 const USB2_BUS_BYTES_PER_S: f64 = 48_000_000.0;
 
 /// Both cameras, their buses, transfer times, and what they bring.
-pub(super) fn check(cell: &Cell, findings: &mut Findings) {
+pub(super) fn check(cell: &Cell, rig: Option<&Rig>, findings: &mut Findings) {
     let (Some(left), Some(right)) = (&cell.cameras.left, &cell.cameras.right) else { return };
     let mut opened = Vec::new();
     for (subject, settings) in [("left camera", left), ("right camera", right)] {
@@ -53,6 +54,10 @@ pub(super) fn check(cell: &Cell, findings: &mut Findings) {
     }
     if let [left, right] = watched.as_slice() {
         pairing(cell, &left.seen, &right.seen, left.settings.period(), findings);
+        if let (Some(rig), Some(left), Some(right)) = (rig, &left.seen.last, &right.seen.last) {
+            let frames = FramePair { left: left.clone(), right: right.clone() };
+            pair::check(cell, rig, &frames, "what the cameras see", findings);
+        }
     }
 }
 
@@ -160,6 +165,8 @@ struct Seen {
     short: u32,
     unknown_clock: bool,
     lost: Option<String>,
+    /// The last good frame.
+    last: Option<Frame>,
 }
 
 fn watch(mut camera: V4lCamera) -> Seen {
@@ -174,6 +181,7 @@ fn watch(mut camera: V4lCamera) -> Seen {
                 }
                 seen.unknown_clock |= frame.mark == TimestampMark::HandedOver;
                 seen.stamps.push(frame.timestamp);
+                seen.last = Some(frame.clone());
             }
             Grab::Frame { condition: Condition::Damaged, .. } => seen.damaged += 1,
             Grab::Frame { condition: Condition::Short, .. } => seen.short += 1,

@@ -6,8 +6,10 @@ use std::time::{Duration, UNIX_EPOCH};
 use nalgebra::{Point3, Vector3};
 
 use super::Findings;
+use super::pair;
 use crate::camera::replay::is_only_of;
 use crate::config::{Backend, Cell};
+use crate::frame::FramePair;
 use crate::grasp;
 use crate::part::Part;
 use crate::rig::Rig;
@@ -18,11 +20,11 @@ use crate::vision::binarize::Binarize;
 /// After so long a calibration should be looked at again: screws settle, mounts creep.
 const CALIBRATION_AGE_MAX: Duration = Duration::from_secs(90 * 24 * 3600);
 
+/// By so many degrees parts that lie flat are measured tilted now and then, cameras and floor being what they are.
+const TILT_MEASURED_DEG: f64 = 2.0;
+
 /// So many pictures of a session are looked at.
 const PICTURES_MAX: usize = 1000;
-
-/// Baselines outside of this are most likely metres or a slip, in mm.
-const BASELINE_MM: std::ops::RangeInclusive<f64> = 5.0..=2000.0;
 
 /// Calibration, parts, session, region. Gives the rig where it can be read.
 pub(super) fn check(cell: &Cell, findings: &mut Findings) -> Option<Rig> {
@@ -93,17 +95,9 @@ fn calibration(cell: &Cell, findings: &mut Findings) -> Option<Rig> {
     let (width, height) = (rig.left.width, rig.left.height);
     let baseline_mm = rig.baseline_mm();
     let about = format!("{}: {width}x{height}, baseline {baseline_mm:.1} mm", path.display());
-    if BASELINE_MM.contains(&baseline_mm) {
-        findings.ok("calibration", about);
-    } else {
-        findings.warning("calibration", about, "T must be in millimetres; see whether it is");
-    }
-    if rig.right_from_left.translation.x > 0.5 * baseline_mm {
-        findings.warning(
-            "cameras",
-            "the right camera stands at the left of the left one".to_owned(),
-            "are they exchanged in the calibration? then no point is seen in front of both",
-        );
+    match rig.doubt() {
+        None => findings.ok("calibration", about),
+        Some(doubt) => findings.warning("calibration", about, doubt),
     }
     if let Some(age) = age(path).filter(|age| *age > CALIBRATION_AGE_MAX) {
         findings.warning(
@@ -160,6 +154,16 @@ fn session(cell: &Cell, rig: Option<&Rig>, findings: &mut Findings) {
         (None, Some(error)) => return findings.wrong("session", error.clone()),
         (None, None) => return findings.wrong("session", format!("{about}, no whole picture in them")),
     }
+    if let Err(error) = cell.check_pair_window(session.period()) {
+        findings.wrong("pairing", error.to_string());
+    }
+    let whole = session.pairs.iter().find_map(|pair| {
+        let [Some(left), Some(right)] = &pair.pictures else { return None };
+        Some((&pair.name, FramePair { left: left.read().ok()?, right: right.read().ok()? }))
+    });
+    if let (Some(rig), Some((name, frames))) = (rig, whole) {
+        pair::check(cell, rig, &frames, &format!("pair {name}"), findings);
+    }
     if let Some(error) = other_size {
         findings.warning("session", error, "nothing is recognised in such pictures; take them out");
     }
@@ -208,6 +212,13 @@ pub(super) fn check_workspace(cell: &Cell, rig: &Rig, findings: &mut Findings) {
         return;
     };
     let workspace = &cell.arm_side.workspace;
+    if workspace.tilt_max_deg < TILT_MEASURED_DEG {
+        findings.warning(
+            "workspace.tilt_max_deg",
+            format!("= {}: parts that lie flat are measured tilted by more", workspace.tilt_max_deg),
+            "give it 5 or more: nearly all parts would be blocked (\"tilted too far\")",
+        );
+    }
     let [low, high] = [workspace.min_mm, workspace.max_mm];
     let camera = base_from_left.translation.vector;
     let inside = (0..3).all(|axis| camera[axis] >= low[axis] && camera[axis] <= high[axis]);

@@ -7,7 +7,7 @@ use std::time::Duration;
 use firmware_bridge::config::{LinkName, Resume, Settings};
 use firmware_bridge::link::{SharedError, SharedMemoryLink};
 use firmware_bridge::message::Report;
-use rustix::fs::{Access, Mode, OFlags};
+use rustix::fs::{Mode, OFlags};
 use rustix::process::{Resource, getrlimit};
 
 use super::Findings;
@@ -203,11 +203,12 @@ fn writable(subject: &str, folder: &Path, findings: &mut Findings) {
     if !folder.exists() {
         let made = folder.ancestors().find(|ancestor| ancestor.exists() || ancestor.as_os_str().is_empty());
         let above = made.filter(|above| !above.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        match rustix::fs::access(above, Access::WRITE_OK) {
+        // Rights say nothing of a file system that takes no files.
+        match can_write(above) {
             Ok(()) => findings.ok(subject, format!("{shown} will be made")),
             Err(error) => findings.error(
                 subject,
-                format!("{shown} is not there and cannot be made: {}", io::Error::from(error)),
+                format!("{shown} is not there and cannot be made: {error}"),
                 format!(
                     "make it, with write access for the cell's user, or name another in cell.toml ({subject})"
                 ),

@@ -6,6 +6,7 @@
 mod cameras;
 mod files;
 mod machine;
+mod pair;
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -163,7 +164,7 @@ fn check(args: &CheckArgs) -> Findings {
     findings.ok("cell.toml", format!("{} is well formed", args.cell.display()));
     let rig = files::check(&cell, &mut findings);
     match cell.cameras.backend {
-        Backend::V4l2 => cameras::check(&cell, &mut findings),
+        Backend::V4l2 => cameras::check(&cell, rig.as_ref(), &mut findings),
         Backend::Replay => {}
     }
     if let Some(rig) = &rig {

@@ -120,6 +120,8 @@ fn a_place_record_that_cannot_be_used_and_a_recording_that_cannot_be_made_are_fo
     let state = "state = \"out/place.state\"";
     let (code, text) = complaint(state, "state = \"/proc/place.state\"");
     assert_eq!((code, text.starts_with("place.state: /proc cannot be written: ")), (1, true), "{text}");
+    let (code, text) = complaint(state, "state = \"/proc/x/y\"");
+    assert_eq!((code, text.contains("/proc/x is not there and cannot be made: ")), (1, true), "{text}");
     let (code, text) = complaint(state, "state = \"/proc\"");
     assert_eq!(
         (code, text.starts_with("place.state: /proc: cannot read or write it: ")),
@@ -172,4 +174,16 @@ fn what_the_gripper_cannot_take_and_the_tray_cannot_hold_is_a_warning() {
     fs::write(folder.path().join("rig.yaml"), exchanged).expect("a file");
     let said = findings(&cell).in_words();
     assert!(said.contains("the right camera stands at the left of the left one"), "{said}");
+}
+
+#[test]
+fn one_pair_is_recognised_and_what_blocks_all_parts_is_a_warning() {
+    let said = findings(&project().join("cell.toml")).in_words();
+    assert!(said.contains("ok       recognition: pair 0000: "), "{said}");
+    let (code, text) = complaint("colour = \"auto\"", "colour = { grey_min = 0, grey_max = 255 }");
+    assert_eq!((code, text.starts_with("recognition: pair 0000: left picture")), (0, true), "{text}");
+    let (code, text) = complaint("tilt_max_deg = 40.0", "tilt_max_deg = 0.0");
+    assert_eq!((code, text.starts_with("workspace.tilt_max_deg: = 0: ")), (0, true), "{text}");
+    let (code, text) = complaint("# pair_window_ms = 13.3", "pair_window_ms = 40.0");
+    assert_eq!((code, text.contains("cameras.pair_window_ms = 40 is not possible")), (2, true), "{text}");
 }

@@ -17,8 +17,8 @@ Examples:
                      --pairs replay/conveyor --iterations 1000000 --format json --out out/conveyor
   pickcell recognize --cell cell.toml --left l.png --right r.png --stages out/stages
 
-Exit code: 0 done (also where nothing was found), 1 pairs of --pairs failed or a file could not be written,
-2 wrong usage, configuration or picture.";
+Exit code: 0 done (also where nothing was found), 1 pairs of --pairs failed or the disk is full,
+2 wrong usage, configuration, picture or place of a result.";
 
 /// Recognise thin parts in one stereo pair, or in a folder of pairs
 #[derive(Args, Debug)]
@@ -28,10 +28,10 @@ pub struct RecognizeArgs {
     #[arg(long, value_name = "FILE")]
     pub cell: Option<PathBuf>,
     /// Calibration: OpenCV YAML, or one file of a ROS camera_info pair, or their folder
-    #[arg(long, value_name = "FILE", required_unless_present = "cell")]
+    #[arg(long, value_name = "FILE")]
     pub calibration: Option<PathBuf>,
     /// Part file; may be given several times
-    #[arg(long = "part", value_name = "FILE", required_unless_present = "cell")]
+    #[arg(long = "part", value_name = "FILE")]
     pub parts: Vec<PathBuf>,
 
     /// Picture of the left camera, png or jpg
@@ -110,7 +110,8 @@ pub struct RecognizeArgs {
     /// degrees and of blobs, the skeleton has Guo and Hall's
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     pub stages: Option<PathBuf>,
-    /// Write results.json for every pair into a folder of its name in this one
+    /// Write results.json for every pair into a folder of its name in this one; the name of left.png and right.png is
+    /// their folder's
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     pub out: Option<PathBuf>,
     /// How results are printed

@@ -4,6 +4,7 @@ use std::io;
 use std::path::PathBuf;
 
 use crate::config::ConfigError;
+use crate::files::{is_full, write_remedy};
 use crate::part::PartError;
 use crate::recognize;
 use crate::rig::RigError;
@@ -23,17 +24,26 @@ pub enum RecognizeError {
     /// A part file.
     #[error(transparent)]
     Part(#[from] PartError),
-    /// Colour range or region.
-    #[error(transparent)]
+    /// Colour range or region of the command line.
+    #[error("{}", in_options(.0))]
     Params(#[from] ParamsError),
     /// The system has no descriptor or thread left.
     #[error("--threads 2: the system refuses a second thread: {0}; use --threads 1")]
     System(io::Error),
+    /// Neither a cell nor what it would give.
+    #[error(
+        "no {missing}: give --cell FILE, which names all of it, or --calibration FILE and --part FILE; and the pictures: --left and \
+         --right, or --pairs"
+    )]
+    NoCell {
+        /// `calibration` or `part`.
+        missing: &'static str,
+    },
     /// No pictures were named.
     #[error("no pictures: give --left and --right, or --pairs with a folder of pairs")]
     NoPictures,
     /// A folder that cannot be listed.
-    #[error("{}: cannot list this folder: {source}; give --pairs a folder of pairs", path.display())]
+    #[error("{}: cannot read it: {source}; give --pairs a folder of pairs, or a recording (.mcap)", path.display())]
     Folder {
         /// The folder.
         path: PathBuf,
@@ -117,7 +127,7 @@ pub enum RecognizeError {
         path: PathBuf,
     },
     /// A result that cannot be written.
-    #[error("{}: cannot be written: {source}; nothing of it was kept", path.display())]
+    #[error("{}: cannot be written: {source}; {}", path.display(), write_remedy(source))]
     Write {
         /// The file or folder.
         path: PathBuf,
@@ -141,15 +151,27 @@ impl RecognizeError {
     /// 1 where the job failed, 2 where what was given to it cannot be used.
     pub fn exit_code(&self) -> u8 {
         match self {
-            RecognizeError::Write { .. } | RecognizeError::Stdout(_) | RecognizeError::PairsFailed { .. } => {
-                1
-            }
+            RecognizeError::Stdout(_) | RecognizeError::PairsFailed { .. } => 1,
+            // The next call may find room.
+            RecognizeError::Write { source, .. } if is_full(source) => 1,
             _ => 2,
         }
+    }
+
+    /// Whether it is about one pair, so that others may do.
+    pub fn is_of_a_pair(&self) -> bool {
+        self.exit_code() == 2 && !matches!(self, RecognizeError::Write { .. })
     }
 
     /// Whether whoever read standard output has closed it (`| head`), which is no failure.
     pub fn is_closed_pipe(&self) -> bool {
         matches!(self, RecognizeError::Stdout(e) if e.kind() == io::ErrorKind::BrokenPipe)
     }
+}
+
+/// What is wrong with colours or region, with the options in place of the keys.
+fn in_options(error: &ParamsError) -> String {
+    let keys = ["region_px", "grey_min/grey_max", "color_min/color_max"];
+    let options = ["--region-px", "--grey-min/--grey-max", "--color-min/--color-max"];
+    keys.iter().zip(options).fold(error.to_string(), |text, (key, option)| text.replace(key, option))
 }

@@ -23,6 +23,7 @@ use crate::hands;
 use crate::recognize::{Recognition, Recognizer, Refusal, StageTimes};
 use crate::report::overlay::Overlay;
 use crate::report::{Canvas, stages};
+use crate::vision::binarize::ParamsError;
 use crate::vision::decode::Output;
 
 /// Recognises; results go to standard output and to the files that were asked for.
@@ -38,9 +39,10 @@ pub fn run(args: &RecognizeArgs) -> Result<(), RecognizeError> {
     }
     let setup = Setup::new(args)?;
     let recognizer = Recognizer::new(setup.params.clone(), setup.rig, setup.parts.clone());
-    let mut recognizer = recognizer.map_err(|error| match &setup.region_of {
-        Some(cell) => cell.region_error(&error, &setup.rig).into(),
-        None => RecognizeError::from(error),
+    let mut recognizer = recognizer.map_err(|error| match (&setup.region_of, &error) {
+        // Colours of a cell were looked at when it was read.
+        (None, _) | (_, ParamsError::EmptyRange { .. }) => RecognizeError::from(error),
+        (Some(cell), _) => cell.region_error(&error, &setup.rig).into(),
     })?;
     if setup.threads > 1 {
         let (owner, helper) = hands::hands().map_err(RecognizeError::System)?;
@@ -52,7 +54,7 @@ pub fn run(args: &RecognizeArgs) -> Result<(), RecognizeError> {
     for pair in &setup.pairs {
         match job.pair(pair) {
             Ok(()) => {}
-            Err(e) if setup.many && e.exit_code() == 2 => {
+            Err(e) if setup.many && e.is_of_a_pair() => {
                 failed += 1;
                 job.tell_error(pair, &e)?;
             }

@@ -1,6 +1,6 @@
 //! Command line and cell → what recognition is built of.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf, absolute};
 use std::time::Duration;
 
 use nalgebra::Isometry3;
@@ -49,7 +49,7 @@ pub(super) struct Setup {
     /// Threads that share the two pictures of a pair, 1 or 2.
     pub(super) threads: u8,
     pub(super) base_from_left: Option<Isometry3<f64>>,
-    /// The cell, where its region is looked at and its colours are.
+    /// The cell, where it is its region that is looked at.
     pub(super) region_of: Option<Cell>,
     pub(super) pairs: Vec<PairFiles>,
     /// Whether a folder was given: a bad pair is then a line, not the end.
@@ -64,11 +64,12 @@ impl Setup {
         let calibration = args.calibration.as_ref().or(cell.map(|c| &c.rig.calibration));
         let parts =
             if args.parts.is_empty() { cell.map(|c| &c.recognition.parts) } else { Some(&args.parts) };
-        let (Some(calibration), Some(parts)) = (calibration, parts) else {
-            // clap asks for both where there is no cell
-            return Err(RecognizeError::NoPictures);
-        };
+        let calibration = calibration.ok_or(RecognizeError::NoCell { missing: "calibration" })?;
+        let parts = parts.ok_or(RecognizeError::NoCell { missing: "part" })?;
         let rig = Rig::read(calibration)?;
+        if let Some(doubt) = rig.doubt() {
+            tracing::warn!("{}: {doubt}", calibration.display());
+        }
         let parts = Part::read_all(parts)?;
         let (pairs, many) = pictures(args, cell)?;
         let recognition = cell.map(|c| &c.recognition);
@@ -80,7 +81,7 @@ impl Setup {
             seed: args.seed.or(recognition.map(|r| r.seed)).unwrap_or(1),
             threads: args.threads.or(recognition.map(|r| r.threads)).unwrap_or(1),
             base_from_left: cell.and_then(|c| c.rig.base_from_left),
-            region_of: cell.filter(|_| args.region_px.is_none() && colour(args).is_none()).cloned(),
+            region_of: cell.filter(|_| args.region_px.is_none()).cloned(),
             pairs,
             many,
         })
@@ -89,7 +90,7 @@ impl Setup {
 
 fn pictures(args: &RecognizeArgs, cell: Option<&Cell>) -> Result<(Vec<PairFiles>, bool), RecognizeError> {
     if let (Some(left), Some(right)) = (&args.left, &args.right) {
-        let name = left.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let name = pair_name(left, right);
         let files = [left, right].map(|path| vec![RecordedPicture::File(path.clone())]);
         return Ok((vec![PairFiles { name, folder: PathBuf::new(), files }], false));
     }
@@ -97,6 +98,18 @@ fn pictures(args: &RecognizeArgs, cell: Option<&Cell>) -> Result<(Vec<PairFiles>
         cell.filter(|c| c.cameras.backend == Backend::Replay).and_then(|c| c.cameras.session.as_ref());
     let folder = args.pairs.as_ref().or(session).ok_or(RecognizeError::NoPictures)?;
     Ok((pairs_of(folder)?, true))
+}
+
+/// The name of a pair: that of the left picture, or, where the pictures have but their sides' names, of its folder, as with
+/// `--pairs`.
+fn pair_name(left: &Path, right: &Path) -> String {
+    let has_side = |path: &Path, side: &str| path.file_stem().is_some_and(|stem| stem == side);
+    let folder = absolute(left).ok().and_then(|left| Some(left.parent()?.file_name()?.to_owned()));
+    let name = match folder {
+        Some(folder) if has_side(left, "left") && has_side(right, "right") => folder,
+        _ => left.file_stem().unwrap_or_default().to_owned(),
+    };
+    name.to_string_lossy().into_owned()
 }
 
 fn limit(args: &RecognizeArgs, cell: Option<&Cell>) -> Limit {

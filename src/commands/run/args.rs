@@ -31,10 +31,10 @@ pub struct RunArgs {
     #[arg(long, value_name = "DIR", default_value = "out")]
     pub out: PathBuf,
     /// Which pairs get an overlay picture; default: all of a recorded session, none of live cameras and of a soak
-    #[arg(long, value_enum)]
+    #[arg(long, value_enum, conflicts_with = "soak")]
     pub overlay: Option<Overlays>,
     /// Which pairs get a line on standard output
-    #[arg(long, value_enum, default_value_t = Lines::All)]
+    #[arg(long, value_enum, default_value_t = Lines::All, conflicts_with = "soak")]
     pub lines: Lines,
     /// How results are written to standard output
     #[arg(long, value_enum, default_value_t = Format::Text)]
@@ -43,7 +43,7 @@ pub struct RunArgs {
     /// before them; without it that is an error, of cameras after five seconds
     #[arg(long)]
     pub wait: bool,
-    /// Endurance test: repeat the recorded session until so many pairs were played, print no lines, fail (exit
+    /// Endurance test: repeat the recorded session until so many pairs were played, print no lines, draw nothing, fail (exit
     /// code 1) on a missed deadline or growing memory. Where the cell sets no deadline, it is one period of --rate
     #[arg(long, value_name = "PAIRS", allow_hyphen_values = true, value_parser = whole::<u64>(1, 100_000_000))]
     pub soak: Option<u64>,

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use firmware_bridge::link::LinkError;
 
 use crate::config::ConfigError;
+use crate::files::is_full;
 use crate::part::PartError;
 use crate::rig::RigError;
 use crate::session::SessionError;
@@ -88,10 +89,6 @@ impl RunError {
     pub fn is_closed_pipe(&self) -> bool {
         matches!(self, RunError::Stdout(reason) if reason.kind() == io::ErrorKind::BrokenPipe)
     }
-}
-
-fn is_full(reason: &io::Error) -> bool {
-    matches!(reason.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
 }
 
 fn remedy(reason: &io::Error) -> &'static str {

@@ -94,6 +94,9 @@ impl Setup {
     pub(super) fn new(args: &RunArgs) -> Result<Self, RunError> {
         let cell = Cell::read(&args.cell)?;
         let rig = Rig::read(&cell.rig.calibration)?;
+        if let Some(doubt) = rig.doubt() {
+            tracing::warn!("{}: {doubt}", cell.rig.calibration.display());
+        }
         let parts = Part::read_all(&cell.recognition.parts)?;
         let recognizer = Recognizer::new(cell.recognition_params(), rig, parts.clone());
         let mut recognizer = recognizer.map_err(|error| cell.region_error(&error, &rig))?;
@@ -119,6 +122,7 @@ impl Setup {
             second = Some(helper);
         }
         let mut eyes = eyes(args, &cell, fast)?;
+        cell.check_pair_window(eyes.period)?;
         let mut arm = match eyes.arm.take().filter(|_| simulated && args.soak.is_none()) {
             Some(answers) => {
                 tracing::info!("the arm answers as that of the recorded session did");
