@@ -20,9 +20,9 @@ const WIDTH_MM: f64 = 30.0;
 /// By less than so much, as a logarithm, a width does not tell which of two parts it is nearer to; nor where their thicknesses
 /// differ by less than so many standard deviations of the widths in the bin, and what those are taken for where one part more has
 /// them.
-const TELL_APART_LN: f64 = 0.22;
+const TELL_APART_LN: f64 = 0.12;
 const TELL_APART_SIGMAS: f64 = 5.0;
-const SIGMA_LN: f64 = 0.1;
+const SIGMA_LN: f64 = 0.08;
 /// How full of light wire is across as a rule, see [`crate::pose::section::LightAcross::full`], and how much wider, as a logarithm, it is seen per
 /// such unit: of rendered rods of 20 rigs, dull ones and bright ones in one bin, the widths differ by 2 to 4 % with that
 /// (standard deviation), by 5 to 8 % without; by 10 % for 12 % where they are 5 pixels wide.
@@ -132,14 +132,15 @@ impl Explanations {
                 return false;
             }
             let [radius, other_radius] = [prepared, other].map(|p| p.pose_model.radius_mm);
-            let is_told = (radius / other_radius).ln().abs() > TELL_APART_SIGMAS * sigma_ln
+            let thicker_ln = (radius / other_radius).ln().abs();
+            let is_told = thicker_ln > TELL_APART_SIGMAS * sigma_ln
                 && e.kin_mm - standing.kin_mm > WIDTH_MM * TELL_APART_LN;
             if is_told && !is_thin {
                 return false;
             }
             let less_mm = standing.alone.now_mm + standing.kin_mm - e.alone.now_mm - e.kin_mm;
             match ends_apart_mm([prepared, other], [pose, &e.fit.left_from_part]) {
-                ..SAME_ENDS_MM => e.alone.now_mm > 0.0,
+                ..SAME_ENDS_MM if thicker_ln > 0.0 => e.alone.now_mm > 0.0,
                 ..SAME_PLACE_MM => less_mm < TELL_APART_MM,
                 _ => false,
             }
