@@ -169,19 +169,27 @@ impl View<'_> {
 
     /// The segments between the nodes, along the wire.
     fn part(&self, canvas: &mut Canvas, found: &FoundPart) {
-        let Some(part) = self.overlay.parts.get(found.part) else { return };
         let (colour, width) = if found.blocked.is_some() { (SEGMENT_BLOCKED, 1.0) } else { (SEGMENT, 2.0) };
-        for edge in 0..part.edges.len() {
-            for pair in part.centreline(edge, STEP_MM).windows(2) {
-                let [from, to] = [0, 1].map(|i| found.left_from_part * pair[i].position_mm);
-                self.line(canvas, from, to, width, colour);
-            }
+        for [from, to] in self.wire(found).flatten() {
+            self.line(canvas, from, to, width, colour);
         }
         for node in &found.nodes {
             if let Some(px) = self.project(&node.left_mm) {
                 self.ring(canvas, px, 4.0, colour);
             }
         }
+    }
+
+    /// Short pieces of a part's wire, edge by edge.
+    fn wire(&self, found: &FoundPart) -> impl Iterator<Item = Vec<[Point3<f64>; 2]>> {
+        let part = self.overlay.parts.get(found.part);
+        let edges = part
+            .into_iter()
+            .flat_map(|part| (0..part.edges.len()).map(move |edge| part.centreline(edge, STEP_MM)));
+        edges.map(|points| {
+            let pieces = points.windows(2);
+            pieces.map(|pair| [0, 1].map(|i| found.left_from_part * pair[i].position_mm)).collect()
+        })
     }
 
     fn grasp(&self, canvas: &mut Canvas, found: &FoundPart) {
@@ -227,6 +235,12 @@ impl View<'_> {
                     places.take(from.inf(&to).add_scalar(-1.0), from.sup(&to).add_scalar(1.0));
                 }
             }
+        }
+        for found in self.overlay.found {
+            self.wire(found)
+                .flatten()
+                .filter_map(|[from, _]| self.project(&from))
+                .for_each(|px| places.show(px));
         }
         let left_from_base = self.overlay.base_from_left.inverse();
         for (i, found) in self.overlay.found.iter().enumerate() {

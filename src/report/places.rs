@@ -19,12 +19,13 @@ type Area = [Vector2<f64>; 2];
 pub(super) struct Places {
     picture: Area,
     taken: Vec<Area>,
+    lines: Vec<Vector2<f64>>,
 }
 
 impl Places {
     /// All of this box is free.
     pub(super) fn new(low: Vector2<f64>, high: Vector2<f64>) -> Self {
-        Self { picture: [low, high], taken: Vec::new() }
+        Self { picture: [low, high], taken: Vec::new(), lines: Vec::new() }
     }
 
     /// No label is to stand between these points, if it can be helped.
@@ -32,8 +33,13 @@ impl Places {
         self.taken.push([from.inf(&to), from.sup(&to)]);
     }
 
-    /// The upper left corner of a label of this size, `gap` beside and above a point, or as near to that as there is room; it is
-    /// taken then.
+    /// This point of a line is better seen than not.
+    pub(super) fn show(&mut self, point: Vector2<f64>) {
+        self.lines.push(point);
+    }
+
+    /// The upper left corner of a label of this size, `gap` beside and above a point, or as near to that as there is room and it
+    /// hides least of the lines; it is taken then.
     pub(super) fn beside(
         &mut self,
         point: Vector2<f64>,
@@ -43,11 +49,14 @@ impl Places {
         let [low, high] = self.picture;
         let sides = [gap.x, -gap.x - size.x];
         let corners = LOWER.iter().flat_map(|k| sides.map(|x| point + Vector2::new(x, k * size.y - gap.y)));
-        let mut inside = corners.map(|corner| corner.inf(&(high - size)).sup(&low));
+        let inside = corners.map(|corner| corner.inf(&(high - size)).sup(&low));
         let is_free =
             |corner: &Vector2<f64>| !self.taken.iter().any(|t| overlap(&[*corner, corner + size], t));
         let best = inside.clone().next().unwrap_or(point);
-        let corner = inside.find(is_free).unwrap_or(best);
+        let hidden = |corner: &Vector2<f64>| {
+            self.lines.iter().filter(|point| overlap(&[*corner, corner + size], &[**point, **point])).count()
+        };
+        let corner = inside.filter(is_free).min_by_key(hidden).unwrap_or(best);
         self.take(corner, corner + size);
         corner
     }
@@ -73,6 +82,10 @@ mod tests {
         places.take(v(200.0, 59.0), v(0.0, 50.0));
         // Below lies something, above there is room.
         assert_eq!(places.beside(v(50.0, 50.0), gap, size), v(55.0, 30.0));
+        // And beside it, where nothing lies, a line would be hidden.
+        let mut lined = Places::new(v(0.0, 0.0), v(200.0, 100.0));
+        lined.show(v(70.0, 45.0));
+        assert_eq!(lined.beside(v(50.0, 50.0), gap, size), v(5.0, 40.0));
         let corner = places.beside(v(199.0, 2.0), gap, size);
         assert_eq!(corner, v(160.0, 0.0));
         // No room at all is no reason to say nothing.
