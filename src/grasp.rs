@@ -65,6 +65,9 @@ pub enum Blocked {
     /// The pose is not known well enough.
     #[error("pose too uncertain")]
     Uncertain,
+    /// It may lie elsewhere, or be something else: see [`is_proven`](crate::matching::select::is_proven).
+    #[error("not proved by what is seen")]
+    Unproven,
     /// The parts together tell that the right camera has turned, and by so much that not all of it is allowed for.
     #[error("the right camera does not stand as it was calibrated")]
     Turned,

@@ -61,8 +61,11 @@ impl Recognizer {
             if grasp.slid_mm != 0.0 {
                 found.slide_to(grasp, &params.grasp, &parts[found.part], explanation);
             }
-            let is_certain = found.proven && found.sigma_mm.max() <= params.grasp.sigma_mm_max;
-            let uncertain = (!is_certain).then_some(Blocked::Uncertain);
+            let is_uncertain = found.sigma_mm.max() > params.grasp.sigma_mm_max;
+            let uncertain = match found.proven {
+                true => is_uncertain.then_some(Blocked::Uncertain),
+                false => Some(Blocked::Unproven),
+            };
             found.blocked = blocked.or(uncertain).or(turned).or_else(|| {
                 let prepared = &parts[found.part];
                 if views.as_ref().is_some_and(|v| is_interrupted(&prepared.pose_model, explanation, v)) {
