@@ -167,7 +167,7 @@ fn run(seed: u64, settings: &Settings) -> (u32, u64) {
     let mut link = SimulatedLink::new(settings, seed as u32, Faults::new(seed, &faults)).unwrap();
     link.arm().set_tempo(4.0);
     let start = Timestamp(1_000_000 * MS);
-    let arm = Arm(Box::new(Link::Simulated(link)));
+    let arm = Arm(Link::Simulated(link));
     let carrier = Carrier::new(&desk, hub, Core::new(params(), settings, start), arm);
     let mut campaign = Campaign {
         grabs,

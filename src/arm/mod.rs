@@ -1,7 +1,8 @@
 //! The arm of the cell: [`Arm`] over firmware-bridge's links.
 //!
 //! Takes commands, gives reports; owns the link. Driven by one thread. A session with messages of an arm is
-//! answered by [`Arm::recorded`]; one without gets the simulated one, which is a link like the others: same dialect, same gate, same bytes, only the far end is made up.
+//! answered by [`Arm::recorded`]; one without gets the simulated one, which is a link like the others: same dialect, same gate,
+//! same bytes, only the far end is made up.
 
 use std::os::fd::BorrowedFd;
 
@@ -13,7 +14,7 @@ use crate::time::Timestamp;
 
 /// The arm: serial line, shared memory, the recorded or the simulated one, as `[arm]` says.
 #[derive(Debug)]
-pub struct Arm(pub Box<Link>);
+pub struct Arm(pub Link);
 
 impl Arm {
     /// Opens the link that `[arm]` names.
@@ -21,7 +22,7 @@ impl Arm {
     /// # Errors
     /// What is missing or taken, with the remedy.
     pub fn open(settings: &Settings, session_seed: u32) -> Result<Self, LinkError> {
-        Ok(Self(Box::new(Link::open(settings, session_seed)?)))
+        Ok(Self(Link::open(settings, session_seed)?))
     }
 
     /// Like [`Arm::open`], but a serial port that is not there or cannot be opened yet is waited for, as one that was
@@ -30,24 +31,24 @@ impl Arm {
     /// # Errors
     /// What else is missing or taken, with the remedy.
     pub fn open_or_wait(settings: &Settings, session_seed: u32) -> Result<Self, LinkError> {
-        Ok(Self(Box::new(Link::open_or_wait(settings, session_seed)?)))
+        Ok(Self(Link::open_or_wait(settings, session_seed)?))
     }
 
     /// The arm of a recorded session, which answers the n-th target as it answered its n-th.
     pub fn recorded(settings: &Settings, answers: Answers, session_seed: u32) -> Self {
-        Self(Box::new(Link::recorded(settings, answers, session_seed)))
+        Self(Link::recorded(settings, answers, session_seed))
     }
 
     /// Makes a simulated arm move so many times as fast as an ordinary one; others stay as they are.
     pub fn hasten(&mut self, tempo: f64) {
-        if let Link::Simulated(link) = &mut *self.0 {
+        if let Link::Simulated(link) = &mut self.0 {
             link.arm().set_tempo(tempo);
         }
     }
 
     /// Ends the faults of a simulated arm; others stay as they are.
     pub fn heal(&mut self) {
-        if let Link::Simulated(link) = &mut *self.0 {
+        if let Link::Simulated(link) = &mut self.0 {
             link.arm().heal();
         }
     }

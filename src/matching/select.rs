@@ -174,8 +174,8 @@ pub fn is_proven(model: &PoseModel, fit: &Fit, verdict: &Verdict, overrun_mm: f6
 /// Of what shows no end, from this share of its length on both outlines must be seen in either picture.
 const ENDLESS_CLEAR_MIN: f64 = 0.35;
 
-/// Whether what is not proved is likely no part: it shows no end, and hardly more of its wire, or a narrower one. That is what
-/// shadows, rims and lines look like that are longer than the part.
+/// Whether what is not proved is likely no part: it shows no end, and both outlines on little of its length in a picture, or wire
+/// narrower than light makes it. That is what shadows, rims and lines look like that are longer than the part.
 pub fn is_unlikely(verdict: &Verdict) -> bool {
     verdict.ends_shown == 0 && (verdict.is_narrow || verdict.clear.iter().any(|c| *c < ENDLESS_CLEAR_MIN))
 }

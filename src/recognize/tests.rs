@@ -275,6 +275,46 @@ fn a_right_camera_that_was_knocked_is_allowed_for_and_nothing_is_offered() {
 }
 
 #[test]
+fn rods_are_offered_as_no_thinner_or_thicker_ones() {
+    let (session, rig) = conveyor();
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts");
+    let text = std::fs::read_to_string(folder.join("rod-90.toml")).unwrap();
+    let rod_of = |thickness_mm: f64| {
+        let thickness = format!("thickness_mm = {thickness_mm:.1}");
+        Part::parse(&text.replace("thickness_mm = 3.0", &thickness), "rod.toml").unwrap()
+    };
+    let offered = |light: f64, other_mm: Option<f64>| {
+        let parts = [3.0]
+            .into_iter()
+            .chain(other_mm)
+            .enumerate()
+            .map(|(k, thickness_mm)| Part { name: format!("rod {k}"), ..rod_of(thickness_mm) });
+        let mut recognizer = Recognizer::new(Params::default(), rig, parts.collect()).unwrap();
+        let mut counts = [0, 0];
+        for pair in (0..session.pairs.len()).step_by(6) {
+            let mut frames = frames(&session, pair, [0, 0]);
+            for frame in [&mut frames.left, &mut frames.right] {
+                frame.bytes.iter_mut().for_each(|v| *v = (f64::from(*v) * light) as u8);
+            }
+            for part in run(&mut recognizer, &frames).parts.iter().filter(|part| part.blocked.is_none()) {
+                counts[part.part] += 1;
+            }
+        }
+        counts
+    };
+    for light in [1.0, 0.5] {
+        for other_mm in [2.2, 2.4, 2.6, 2.8, 3.3, 3.6, 3.9] {
+            assert_eq!(offered(light, Some(other_mm))[1], 0, "{other_mm} mm, light {light}");
+        }
+        let alone = offered(light, None);
+        assert!(alone[0] > 8);
+        for other_mm in [1.9, 4.5] {
+            assert_eq!(offered(light, Some(other_mm)), alone, "{other_mm} mm, light {light}");
+        }
+    }
+}
+
+#[test]
 fn parts_that_look_longer_than_their_files_are_told() {
     let (session, rig) = conveyor();
     let baseline = rig.right_eye().coords.normalize();

@@ -70,6 +70,14 @@ pub enum RigError {
         /// The camera whose file was not found.
         wanted: &'static str,
     },
+    /// A folder holds more than one ROS pair.
+    #[error("calibration {path}: {count} pairs of camera_info files are in it; name a file of the one that is meant", path = .path.display())]
+    Pairs {
+        /// The folder.
+        path: PathBuf,
+        /// How many there are.
+        count: usize,
+    },
     /// Two cameras of different picture sizes do not fit into the one `image_width image_height` of the file.
     #[error("calibration {path}: the left camera has {left:?} pixels, the right one {right:?}; the OpenCV file has one image_width and image_height for both", path = .path.display())]
     TwoSizes {

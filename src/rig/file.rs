@@ -72,7 +72,8 @@ impl Rig {
         pairs.dedup();
         match &pairs[..] {
             [(left, right)] => ros(&File::read(left)?, &File::read(right)?),
-            _ => Err(RigError::Pair { path: folder.to_owned(), wanted: "left" }),
+            [] => Err(RigError::Pair { path: folder.to_owned(), wanted: "left" }),
+            pairs => Err(RigError::Pairs { path: folder.to_owned(), count: pairs.len() }),
         }
     }
 
@@ -140,10 +141,10 @@ fn ros(left: &File, right: &File) -> Result<Rig, RigError> {
     let (right_camera, right_rotation, right_shift_mm) = right.ros_camera()?;
     if left_shift_mm.norm() > 0.0 && right_shift_mm.norm() == 0.0 {
         let problem = format!(
-            "it is 0 for the left camera; in {} it is 0: exchange the two files, or their names",
+            "must be 0 for the left camera, and is in {}: exchange the two files, or their names",
             right.path.display()
         );
-        let baseline_m = short(left_shift_mm.norm() / 1000.0);
+        let baseline_m = short(left_shift_mm.x / 1000.0);
         return Err(left.value("projection_matrix[0,3] / [0,0]", &baseline_m, &problem));
     }
     let shift_mm = right_shift_mm - left_shift_mm;
@@ -427,7 +428,8 @@ impl File {
     fn missing(&self, key: &str, what: &str) -> RigError {
         let there: Vec<&str> =
             self.entries.iter().map(|(key, _)| key.as_str()).take(KEYS_SHOWN_MAX).collect();
-        let remedy = format!("{what}; the file has {}", there.join(", "));
+        let more = if self.entries.len() > there.len() { ", …" } else { "" };
+        let remedy = format!("{what}; the file has {}{more}", there.join(", "));
         RigError::Missing { path: self.path.clone(), key: key.to_owned(), remedy }
     }
 

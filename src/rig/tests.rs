@@ -447,6 +447,12 @@ fn ros_pairs_of_other_names_are_read_by_their_folder_and_exchanged_ones_refused(
     fs::copy(from.join("left_camera_info.yaml"), &right).unwrap();
     fs::copy(from.join("right_camera_info.yaml"), &left).unwrap();
     let message = Rig::read(folder.path()).unwrap_err().to_string();
-    assert!(message.contains("ost_left.yaml: projection_matrix[0,3] / [0,0] = "), "{message}");
-    assert!(message.contains("ost_right.yaml it is 0: exchange the two files"), "{message}");
+    assert!(message.contains("ost_left.yaml: projection_matrix[0,3] / [0,0] = -0.06"), "{message}");
+    assert!(message.contains("ost_right.yaml: exchange the two files"), "{message}");
+    for camera in ["left", "right"] {
+        let file = format!("{camera}_camera_info.yaml");
+        fs::copy(from.join(&file), folder.path().join(format!("b_{file}"))).unwrap();
+    }
+    let message = Rig::read(folder.path()).unwrap_err().to_string();
+    assert!(message.contains("2 pairs of camera_info files"), "{message}");
 }

@@ -118,7 +118,7 @@ pub fn read_picture(path: &Path) -> Result<Frame, PictureError> {
     from_file(bytes, path)
 }
 
-/// Whether the EXIF orientation of a picture is another than 1.
+/// Whether the EXIF orientation of a picture is another than 1; of a PNG if it stands before the picture, as cameras write it.
 fn is_to_be_turned(bytes: &[u8]) -> bool {
     let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().ok();
     let orientation = reader.and_then(|reader| reader.into_decoder().ok()?.orientation().ok());

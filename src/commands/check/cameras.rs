@@ -181,7 +181,8 @@ fn watch(mut camera: V4lCamera) -> Seen {
                 }
                 seen.unknown_clock |= frame.mark == TimestampMark::HandedOver;
                 seen.stamps.push(frame.timestamp);
-                seen.last = Some(frame.clone());
+                // The next one is grabbed into the one before.
+                std::mem::swap(seen.last.get_or_insert_default(), &mut frame);
             }
             Grab::Frame { condition: Condition::Damaged, .. } => seen.damaged += 1,
             Grab::Frame { condition: Condition::Short, .. } => seen.short += 1,

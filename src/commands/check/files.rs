@@ -215,8 +215,11 @@ pub(super) fn check_workspace(cell: &Cell, rig: &Rig, findings: &mut Findings) {
     if workspace.tilt_max_deg < TILT_MEASURED_DEG {
         findings.warning(
             "workspace.tilt_max_deg",
-            format!("= {}: parts that lie flat are measured tilted by more", workspace.tilt_max_deg),
-            "give it 5 or more: nearly all parts would be blocked (\"tilted too far\")",
+            format!(
+                "{} degrees: parts that lie flat are measured tilted by more, and would be blocked (\"tilted too far\")",
+                workspace.tilt_max_deg
+            ),
+            "give it 5 or more",
         );
     }
     let [low, high] = [workspace.min_mm, workspace.max_mm];

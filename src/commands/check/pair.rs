@@ -4,7 +4,7 @@ use super::Findings;
 use crate::config::Cell;
 use crate::frame::FramePair;
 use crate::part::Part;
-use crate::recognize::{Recognition, Recognizer};
+use crate::recognize::{NoPick, Recognition, Recognizer};
 use crate::rig::Rig;
 use crate::time::Budget;
 
@@ -22,12 +22,31 @@ pub(super) fn check(cell: &Cell, rig: &Rig, frames: &FramePair, name: &str, find
             let free = found.parts.iter().filter(|part| part.blocked.is_none()).count();
             let no_pick = found.no_pick.map(|reason| format!("; no pick: {reason}")).unwrap_or_default();
             let parts = found.parts.len();
-            findings.ok("recognition", format!("{name}: {parts} parts, {free} can be picked{no_pick}"));
+            let seen = format!("{name}: parts {parts}, to be picked {free}{no_pick}");
+            let doubt = found.turned.and_then(|turned| Some((turned.doubt?, turned)));
+            match (doubt, found.no_pick) {
+                (Some((doubt, turned)), _) => findings.warning(
+                    "recognition",
+                    format!("{seen}; {turned}; {doubt}"),
+                    "calibrate again, or look whether the calibration is that of these cameras",
+                ),
+                (None, Some(NoPick::NothingRecognised)) => findings.warning(
+                    "recognition",
+                    seen,
+                    "look at the pictures of `pickcell recognize --stages`, the part files and the calibration",
+                ),
+                (None, Some(NoPick::BinEmpty)) => findings.warning(
+                    "recognition",
+                    seen,
+                    "put parts under the cameras; if some are there, look at recognition.colour, inverted and region_px",
+                ),
+                _ => findings.ok("recognition", seen),
+            }
         }
         Err(refusal) => findings.warning(
             "recognition",
             format!("{name}: {refusal}"),
-            "put parts under the cameras, and change light, [recognition] or calibration until a pair is recognised",
+            "`run` offers nothing of such a pair; `pickcell recognize --stages` shows what was seen",
         ),
     }
 }

@@ -180,10 +180,12 @@ fn what_the_gripper_cannot_take_and_the_tray_cannot_hold_is_a_warning() {
 fn one_pair_is_recognised_and_what_blocks_all_parts_is_a_warning() {
     let said = findings(&project().join("cell.toml")).in_words();
     assert!(said.contains("ok       recognition: pair 0000: "), "{said}");
+    let (code, text) = complaint("colour = \"auto\"", "colour = { grey_min = 254, grey_max = 255 }");
+    assert_eq!((code, text.contains("no pick: bin empty → put parts")), (0, true), "{text}");
     let (code, text) = complaint("colour = \"auto\"", "colour = { grey_min = 0, grey_max = 255 }");
     assert_eq!((code, text.starts_with("recognition: pair 0000: left picture")), (0, true), "{text}");
     let (code, text) = complaint("tilt_max_deg = 40.0", "tilt_max_deg = 0.0");
-    assert_eq!((code, text.starts_with("workspace.tilt_max_deg: = 0: ")), (0, true), "{text}");
+    assert_eq!((code, text.starts_with("workspace.tilt_max_deg: 0 degrees: ")), (0, true), "{text}");
     let (code, text) = complaint("# pair_window_ms = 13.3", "pair_window_ms = 40.0");
     assert_eq!((code, text.contains("cameras.pair_window_ms = 40 is not possible")), (2, true), "{text}");
 }

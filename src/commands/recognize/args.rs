@@ -110,8 +110,8 @@ pub struct RecognizeArgs {
     /// degrees and of blobs, the skeleton has Guo and Hall's
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     pub stages: Option<PathBuf>,
-    /// Write results.json for every pair into a folder of its name in this one; the name of left.png and right.png is
-    /// their folder's
+    /// Write results.json for every pair into a folder of its name in this one; a pair of files left.png and right.png has
+    /// the name of their folder
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     pub out: Option<PathBuf>,
     /// How results are printed

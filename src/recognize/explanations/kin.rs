@@ -17,15 +17,17 @@ use crate::recognize::prepared::Prepared;
 const SHAPE_SHARE: f64 = 0.1;
 /// What wire costs that is seen e times as wide or as narrow as usual, in mm.
 const WIDTH_MM: f64 = 30.0;
-/// By less than so much, as a logarithm, a width does not tell which of two parts it is nearer to; nor where their thicknesses
-/// differ by less than so many standard deviations of the widths in the bin, and what those are taken for where one part more has
-/// them.
+/// How much nearer to the usual width that of a part must be than that of its kin, as a logarithm; and, were all parts that kin,
+/// how much farther the usual width would be from that as a rule: dim light makes all wire of a bin a fifth narrower.
 const TELL_APART_LN: f64 = 0.12;
+const TELL_USUAL_LN: f64 = 0.18;
+/// By how many standard deviations of the widths in a bin thicknesses must differ. Before any width is seen that deviation is taken
+/// for this, as a logarithm, which then counts as one part.
 const TELL_APART_SIGMAS: f64 = 5.0;
 const SIGMA_LN: f64 = 0.08;
-/// How full of light wire is across as a rule, see [`crate::pose::section::LightAcross::full`], and how much wider, as a logarithm, it is seen per
-/// such unit: of rendered rods of 20 rigs, dull ones and bright ones in one bin, the widths differ by 2 to 4 % with that
-/// (standard deviation), by 5 to 8 % without; by 10 % for 12 % where they are 5 pixels wide.
+/// How full of light wire is across as a rule, see [`crate::pose::section::LightAcross::full`], and how much wider, as a logarithm, it
+/// is seen per such unit: of rendered rods of 20 rigs, dull ones and bright ones in one bin, the widths differ by 2 to 4 % with that
+/// (standard deviation) instead of 5 to 8 %; by 10 % instead of 12 % where they are 5 pixels wide.
 const FULL: f64 = 0.72;
 const WIDER_PER_FULL: f64 = 1.3;
 /// Widths whose quotient has a logarithm below this agree somewhat; and how much less the usual width is worth, as a share of
@@ -34,7 +36,8 @@ const AGREE: f64 = 0.12;
 const AS_A_RULE: f64 = 0.25;
 /// So many widths are tried above and below that as a rule, four to where two agree no more: half as wide to twice as wide.
 const WIDTHS: u32 = 24;
-/// Two parts at the same place whose worth differs by less without that, in mm, cannot be told apart by anything else.
+/// Two parts at the same place whose worth differs by less, in mm, apart from what their width costs, cannot be told apart by
+/// anything but that.
 const TELL_APART_MM: f64 = 2.0;
 /// Their nodes are nearer than this then, in mm, in the mean; and where they are nearer than that, nothing but their width may.
 const SAME_PLACE_MM: f64 = 4.0;
@@ -70,9 +73,10 @@ impl Explanations {
         if !self.have_kin.contains(&true) {
             return;
         }
-        let usual = self.usual_width();
+        self.usual_width_ln = self.usual_width_ln();
         for e in &mut self.list[..self.count] {
-            e.kin_mm = e.width_ratio.map_or(0.0, |width| WIDTH_MM * (width / usual).ln().abs());
+            let unusual_ln = e.width_ratio.map_or(0.0, |width| (width.ln() - self.usual_width_ln).abs());
+            e.kin_mm = WIDTH_MM * unusual_ln;
         }
     }
 
@@ -87,8 +91,8 @@ impl Explanations {
         Some(ratio * (WIDER_PER_FULL * (FULL - light.full?)).exp())
     }
 
-    /// How wide the wire of this pair is seen, over how wide it is as a rule.
-    fn usual_width(&self) -> f64 {
+    /// How wide the wire of this pair is seen, over how wide it is as a rule, as a logarithm.
+    fn usual_width_ln(&self) -> f64 {
         let is_known = |e: &&Explanation| select::is_sound(&e.fit, &e.verdict, e.overrun_mm);
         let widths = || self.all().iter().filter(is_known).filter_map(|e| e.width_ratio);
         let agreement = |usual_ln: f64| {
@@ -103,7 +107,7 @@ impl Explanations {
                 (best_ln, most) = (usual_ln, agreed);
             }
         }
-        best_ln.exp()
+        best_ln
     }
 
     /// Standard deviation of the widths of those that stand from what they should be, as a logarithm.
@@ -125,19 +129,22 @@ impl Explanations {
         let thinnest_px = standing.verdict.pieces.iter().flatten().map(|seen| 2.0 * seen.half_width_px);
         let is_thin = thinnest_px.fold(f64::INFINITY, f64::min) < TELLING_PX_MIN;
         let sigma_ln = self.width_sigma_ln();
-        // Its kin need be worth no less but for its width, or lie with its ends just there, and whether they are all seen is chance.
+        let is_told = |e: &Explanation, thicker_ln: f64| {
+            let (Some(width), Some(as_kin)) = (standing.width_ratio, e.width_ratio) else { return false };
+            let usual_of_kin_ln = self.usual_width_ln + (as_kin / width).ln();
+            !is_thin
+                && thicker_ln > TELL_APART_SIGMAS * sigma_ln
+                && usual_of_kin_ln.abs() > self.usual_width_ln.abs() + TELL_USUAL_LN
+                && e.kin_mm > standing.kin_mm + WIDTH_MM * TELL_APART_LN
+        };
         self.all().iter().any(|e| {
             let other = &parts[e.hypothesis.part];
-            if !prepared.is_kin(other) {
-                return false;
-            }
             let [radius, other_radius] = [prepared, other].map(|p| p.pose_model.radius_mm);
             let thicker_ln = (radius / other_radius).ln().abs();
-            let is_told = thicker_ln > TELL_APART_SIGMAS * sigma_ln
-                && e.kin_mm - standing.kin_mm > WIDTH_MM * TELL_APART_LN;
-            if is_told && !is_thin {
+            if !prepared.is_kin(other) || is_told(e, thicker_ln) {
                 return false;
             }
+            // With its ends just there a thinner or thicker one may be it whatever it is worth: whether all are seen is chance.
             let less_mm = standing.alone.now_mm + standing.kin_mm - e.alone.now_mm - e.kin_mm;
             match ends_apart_mm([prepared, other], [pose, &e.fit.left_from_part]) {
                 ..SAME_ENDS_MM if thicker_ln > 0.0 => e.alone.now_mm > 0.0,

@@ -114,6 +114,8 @@ pub(super) struct Explanations {
     settled: Vec<ClaimMap>,
     /// For each part whether it has kin.
     have_kin: Vec<bool>,
+    /// How wide wire is seen in this pair, over how wide as a rule, as a logarithm; for parts that have kin.
+    usual_width_ln: f64,
     /// For image nodes, left and right, the longest part recognised for certain that ends there.
     ends_taken: [Vec<Option<usize>>; 2],
     /// Coarse poses that show no end.
@@ -164,6 +166,7 @@ impl Explanations {
             claims: [&rig.left, &rig.right].map(|c| ClaimMap::new(c.width, c.height)),
             settled: parts.iter().map(|_| ClaimMap::new(rig.left.width, rig.left.height)).collect(),
             have_kin: kin::have_kin(parts),
+            usual_width_ln: 0.0,
             ends_taken: [0, 1].map(|_| Vec::with_capacity(nodes_max)),
             endless: Vec::with_capacity(EXPLANATIONS_MAX),
             refined: Vec::with_capacity(REFINED_MAX),

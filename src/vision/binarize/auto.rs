@@ -34,11 +34,12 @@ const OFFSET: u16 = 16;
 const CONTRAST_STEPS: f32 = 32.0;
 /// Least contrast of parts. A bin's rim beside its dark wall reaches 1.9.
 const CONTRAST_MIN: f32 = 2.0;
-/// Least contrast of parts against a background without the shadows of walls, and least difference in grey levels; of bright
-/// parts in the dark, where nothing differs by so much, this contrast and this difference will do.
+/// Least contrast of parts against a background without the shadows of walls, and least difference in grey levels. Bright parts
+/// in the dark, where most of the background is below 20, need differ by less: by so many times that, but no less than noise.
 const FAINT_MIN: f32 = 1.3;
 const FAINT_LEVELS_MIN: f32 = 30.0;
-const FAINT_IN_THE_DARK: (f32, f32) = (1.6, 12.0);
+const FAINT_LEVELS_PER_LEVEL: f32 = 1.5;
+const NOISE_LEVELS: f32 = 12.0;
 /// Contrast from which on a background against the median one may be dense parts, and contrast that their samples then
 /// have among each other at least; a brighter table or glare is more even. Where it is floor beside a single part after all,
 /// the floor around is as bright, and nothing is lost.
@@ -259,12 +260,7 @@ fn thresholds_for<const DARK: bool>(
         None => {
             // Parts that stand out less than a rim beside its wall's shadow may: without the shadow the rim does not.
             fill_narrow::<DARK>(grid);
-            let mut least = grid.contrast_of_levels::<DARK>(FAINT_LEVELS_MIN);
-            if !DARK {
-                let (contrast, levels) = FAINT_IN_THE_DARK;
-                least = least.min(contrast.max(grid.contrast_of_levels::<DARK>(levels)));
-            }
-            let least = least.max(FAINT_MIN);
+            let least = FAINT_MIN.max(grid.faint_contrast::<DARK>());
             contrasts::<DARK>(grid);
             let Some(found) = grid.contrasts(least) else { return false };
             found
@@ -401,11 +397,16 @@ impl Grid {
         grid::ranked(&self.contrast, self.contrast.len() - self.inside + self.inside / 2)
     }
 
-    /// The contrast that a difference of so many grey levels has on most of the background.
+    /// The contrast that the least difference in grey levels has on most of the background.
     #[inline(always)]
-    fn contrast_of_levels<const DARK: bool>(&mut self, levels: f32) -> f32 {
-        let usual = f32::from(self.usual_background()) + f32::from(OFFSET);
-        if DARK { usual / (usual - levels).max(1.0) } else { (usual + levels) / usual }
+    fn faint_contrast<const DARK: bool>(&mut self) -> f32 {
+        let background = f32::from(self.usual_background());
+        let usual = background + f32::from(OFFSET);
+        if DARK {
+            usual / (usual - FAINT_LEVELS_MIN).max(1.0)
+        } else {
+            (usual + (FAINT_LEVELS_PER_LEVEL * background).clamp(NOISE_LEVELS, FAINT_LEVELS_MIN)) / usual
+        }
     }
 
     /// The contrast that so many samples inside the region are below, which has some.

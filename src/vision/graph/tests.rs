@@ -22,7 +22,6 @@ fn a_ring_is_a_closed_loop_without_nodes() {
     assert!(graph.nodes.is_empty());
     assert_eq!(graph.edges.len(), 1);
     assert_eq!(graph.edges[0].nodes, [NONE; 2]);
-    assert_eq!(graph.edges[0].nodes, [NONE; 2]);
     assert_eq!(graph.edge_points(&graph.edges[0]).len(), ring.count());
 }
 
