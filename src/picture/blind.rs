@@ -39,9 +39,8 @@ pub(super) fn blind(luma: &Frame, mask: &BitImage, is_bright_on_dark: bool, side
     if is_all_of(luma, BLACK_LUMA) && (is_empty || is_black_object(luma, mask)) {
         return Some(Refusal::Black { side });
     }
-    let lit = |wanted| others(luma, wanted).take(PLACES as usize / 2 + 1).count() as u32;
     match is_empty {
-        true if is_all_of(luma, DARK_LUMA) && lit(BLACK_LUMA) <= PLACES / 2 => Some(Refusal::Black { side }),
+        true if is_all_of(luma, DARK_LUMA) && is_half_of(luma, BLACK_LUMA) => Some(Refusal::Black { side }),
         true if is_bright_on_dark && is_all_of(luma, WHITE_LUMA) => Some(Refusal::White { side }),
         true if is_flat(luma) => Some(Refusal::Flat { side }),
         true if is_noise(luma) => Some(Refusal::Noise { side }),
@@ -61,7 +60,12 @@ fn places(width: usize, height: usize) -> impl Iterator<Item = (usize, usize)> {
 
 /// Whether 99 of 100 pixels are as light or dark as that. Of a picture that is not this is known after a few.
 fn is_all_of(luma: &Frame, wanted: RangeInclusive<u8>) -> bool {
-    others(luma, wanted).take(OTHERS_MAX as usize + 1).count() <= OTHERS_MAX as usize
+    others(luma, wanted).nth(OTHERS_MAX as usize).is_none()
+}
+
+/// The same of half of them.
+fn is_half_of(luma: &Frame, wanted: RangeInclusive<u8>) -> bool {
+    others(luma, wanted).nth(PLACES as usize / 2).is_none()
 }
 
 /// The luma of the places that are not as light or dark as that.

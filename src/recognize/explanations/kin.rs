@@ -148,7 +148,7 @@ impl Explanations {
             let less_mm = standing.alone.now_mm + standing.kin_mm - e.alone.now_mm - e.kin_mm;
             match ends_apart_mm([prepared, other], [pose, &e.fit.left_from_part]) {
                 ..SAME_ENDS_MM if thicker_ln > 0.0 => e.alone.now_mm > 0.0,
-                ..SAME_PLACE_MM => less_mm < TELL_APART_MM,
+                ..SAME_PLACE_MM => is_thin && thicker_ln > 0.0 || less_mm < TELL_APART_MM,
                 _ => false,
             }
         })
