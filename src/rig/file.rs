@@ -144,8 +144,9 @@ fn ros(left: &File, right: &File) -> Result<Rig, RigError> {
             "must be 0 for the left camera, and is in {}: exchange the two files, or their names",
             right.path.display()
         );
-        let baseline_m = short(left_shift_mm.x / 1000.0);
-        return Err(left.value("projection_matrix[0,3] / [0,0]", &baseline_m, &problem));
+        let row = usize::from(left_shift_mm.x == 0.0);
+        let key = format!("projection_matrix[{row},3] / [{row},{row}]");
+        return Err(left.value(&key, &short(left_shift_mm[row] / 1000.0), &problem));
     }
     let shift_mm = right_shift_mm - left_shift_mm;
     let rotation = right_rotation.inverse() * left_rotation;
@@ -217,14 +218,12 @@ impl File {
     }
 
     fn opencv(&self) -> Result<Rig, RigError> {
-        let [has_cameras, has_geometry] =
-            [["M1", "M2"], ["R", "T"]].map(|keys| keys.iter().all(|k| self.has(k)));
-        if has_cameras && !["R", "T"].iter().any(|k| self.has(k))
-            || has_geometry && self.has("Q") && !self.has("M1")
-        {
-            let key = if has_cameras { "T" } else { "M1" };
+        let have = |keys: &[&str]| keys.iter().all(|key| self.has(key));
+        let is_intrinsics = have(&["M1", "M2"]) && !self.has("R") && !self.has("T");
+        let is_extrinsics = have(&["R", "T", "Q"]) && !self.has("M1");
+        if is_intrinsics || is_extrinsics {
             return Err(self.missing(
-                key,
+                if is_intrinsics { "T" } else { "M1" },
                 "OpenCV's stereo sample writes two files: join intrinsics.yml and extrinsics.yml to one, and add \
                  `image_width: 640` and `image_height: 480`, the size of the pictures",
             ));

@@ -376,6 +376,6 @@ impl Explanation {
     pub(super) fn worth(&self, parts: &[Prepared], params: &select::Params, claims: &[ClaimMap; 2]) -> Worth {
         let model = &parts[self.hypothesis.part].pose_model;
         let Worth { now_mm, at_most_mm } = select::worth(params, model, &self.fit, &self.verdict, claims);
-        Worth { now_mm: now_mm - self.kin_mm, at_most_mm: at_most_mm - self.kin_mm }
+        Worth { now_mm: now_mm - self.kin_mm(), at_most_mm: at_most_mm - self.kin_mm() }
     }
 }

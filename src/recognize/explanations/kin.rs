@@ -27,7 +27,7 @@ const TELL_APART_SIGMAS: f64 = 5.0;
 const SIGMA_LN: f64 = 0.08;
 /// How full of light wire is across as a rule, see [`crate::pose::section::LightAcross::full`], and how much wider, as a logarithm, it
 /// is seen per such unit: of rendered rods of 20 rigs, dull ones and bright ones in one bin, the widths differ by 2 to 4 % with that
-/// (standard deviation) instead of 5 to 8 %; by 10 % instead of 12 % where they are 5 pixels wide.
+/// (standard deviation) instead of 5 to 8 %; by 7 % instead of 10 % in bad light, 10 % instead of 12 % where they are 5 pixels wide.
 const FULL: f64 = 0.72;
 const WIDER_PER_FULL: f64 = 1.3;
 /// Widths whose quotient has a logarithm below this agree somewhat; and how much less the usual width is worth, as a share of
@@ -75,8 +75,7 @@ impl Explanations {
         }
         self.usual_width_ln = self.usual_width_ln();
         for e in &mut self.list[..self.count] {
-            let unusual_ln = e.width_ratio.map_or(0.0, |width| (width.ln() - self.usual_width_ln).abs());
-            e.kin_mm = WIDTH_MM * unusual_ln;
+            e.unusual_ln = e.width_ratio.map_or(0.0, |width| (width.ln() - self.usual_width_ln).abs());
         }
     }
 
@@ -114,7 +113,7 @@ impl Explanations {
     fn width_sigma_ln(&self) -> f64 {
         let known =
             || self.standing.iter().map(|&index| &self.list[index]).filter(|e| e.width_ratio.is_some());
-        let squares = known().map(|e| (e.kin_mm / WIDTH_MM).powi(2)).sum::<f64>() + SIGMA_LN * SIGMA_LN;
+        let squares = known().map(|e| e.unusual_ln.powi(2)).sum::<f64>() + SIGMA_LN * SIGMA_LN;
         (squares / (known().count() + 1) as f64).sqrt()
     }
 
@@ -135,7 +134,7 @@ impl Explanations {
             !is_thin
                 && thicker_ln > TELL_APART_SIGMAS * sigma_ln
                 && usual_of_kin_ln.abs() > self.usual_width_ln.abs() + TELL_USUAL_LN
-                && e.kin_mm > standing.kin_mm + WIDTH_MM * TELL_APART_LN
+                && e.unusual_ln > standing.unusual_ln + TELL_APART_LN
         };
         self.all().iter().any(|e| {
             let other = &parts[e.hypothesis.part];
@@ -145,13 +144,21 @@ impl Explanations {
                 return false;
             }
             // With its ends just there a thinner or thicker one may be it whatever it is worth: whether all are seen is chance.
-            let less_mm = standing.alone.now_mm + standing.kin_mm - e.alone.now_mm - e.kin_mm;
+            let worth_mm = |e: &Explanation| e.alone.now_mm + e.kin_mm();
+            let less_mm = worth_mm(standing) - worth_mm(e);
             match ends_apart_mm([prepared, other], [pose, &e.fit.left_from_part]) {
                 ..SAME_ENDS_MM if thicker_ln > 0.0 => e.alone.now_mm > 0.0,
                 ..SAME_PLACE_MM => is_thin && thicker_ln > 0.0 || less_mm < TELL_APART_MM,
                 _ => false,
             }
         })
+    }
+}
+
+impl Explanation {
+    /// What speaks against the thickness of its wire, in mm.
+    pub(super) fn kin_mm(&self) -> f64 {
+        WIDTH_MM * self.unusual_ln
     }
 }
 

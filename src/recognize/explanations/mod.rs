@@ -65,8 +65,8 @@ pub(super) struct Explanation {
     is_settled: bool,
     /// How wide its wire is seen in its light, where that may tell it from another part.
     width_ratio: Option<f64>,
-    /// What speaks against the thickness of its wire, in mm.
-    kin_mm: f64,
+    /// How far that is from how wide wire is seen in this pair, as a logarithm.
+    unusual_ln: f64,
     /// What it is worth with nothing claimed.
     alone: Worth,
     /// How many stood when it was last asked what it is worth, and what it was worth then.
@@ -152,7 +152,7 @@ impl Explanations {
             has_claimed: false,
             is_settled: false,
             width_ratio: None,
-            kin_mm: 0.0,
+            unusual_ln: 0.0,
             alone: Worth::NONE,
             worth: (0, Worth::NONE),
             stood_mm: 0.0,
@@ -288,7 +288,7 @@ impl Explanations {
             return Some(index);
         }
         let explanation = &mut self.list[self.count];
-        (explanation.hypothesis, explanation.fit, explanation.kin_mm) = (*hypothesis, fit, 0.0);
+        (explanation.hypothesis, explanation.fit, explanation.unusual_ln) = (*hypothesis, fit, 0.0);
         (explanation.has_ends, explanation.has_claimed, explanation.is_settled) = (false, false, false);
         let verdict = &mut explanation.verdict;
         verify(&self.refine, model, &prepared.stops, &fit.left_from_part, &scene.views, verdict);
