@@ -5,6 +5,7 @@
 //! | [`model`] | a part as stations along its wire |
 //! | [`section`] | where its outline is, read across and along the wire |
 //! | [`gloss`] | how far down its light the outline of polished wire is |
+//! | [`shadow`] | on which side of dark wire its shadow lies |
 //! | [`refine`] | the pose that agrees best with all of them, and how sure it is |
 //! | [`shading`], [`width`] | what light does to outlines, and what of it can be told from the part's own width |
 //! | [`verify`] | what speaks for a pose and what against |
@@ -53,6 +54,7 @@ pub mod over;
 pub mod refine;
 pub mod section;
 pub mod shading;
+pub mod shadow;
 pub mod slide;
 mod sweep;
 pub mod verify;

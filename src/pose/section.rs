@@ -31,6 +31,11 @@ pub(super) const DIP_BESIDE_PX: usize = 5;
 pub const HALF_WAY: u8 = 128;
 /// From so many widths on it is no shadow that joins a dark wire, but another wire.
 const SHADOW_WIDTHS_MAX: f64 = 1.2;
+/// The same where it is known on which side the shadow lies, as it is from so many radii on.
+const SURE_WIDTHS_MAX: f64 = 2.2;
+const SURE_RADII: f64 = 0.4;
+/// By what share one outline is steeper than the other that says as much about the side of the shadow as one radius.
+const STEEPNESS_PER_RADIUS: f64 = 0.5;
 
 /// The outline of a wire along a line across it, as signed distances in pixels from the line's origin.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -73,17 +78,28 @@ pub struct Profiler<'a> {
     pub(super) contrast_min: f64,
     /// How far above the background an outline is taken, in 1/256 of the way to the brightest of the wire.
     pub(super) outline_256: u8,
+    /// Where shadows fall, see [`Profiler::with_shadow`].
+    pub(super) shadow: Option<Vector2<f64>>,
 }
 
 impl<'a> Profiler<'a> {
     /// `dark_parts`: the parts are darker than the floor.
     pub fn new(luma: LumaView<'a>, dark_parts: bool, contrast_min: f64) -> Self {
-        Self { luma, sign: if dark_parts { -1.0 } else { 1.0 }, contrast_min, outline_256: HALF_WAY }
+        let (sign, shadow) = if dark_parts { (-1.0, Some(Vector2::zeros())) } else { (1.0, None) };
+        Self { luma, sign, contrast_min, outline_256: HALF_WAY, shadow }
     }
 
     /// The same, with outlines so far above the background, in 1/256 of the way to the brightest of the wire; else half way.
     pub fn with_outlines_at(self, outline_256: u8) -> Self {
         Self { outline_256, ..self }
+    }
+
+    /// The same, with the shadow taken off that joins wire, and falls about this way in the picture, see [`ShadowSide::radii`]; else,
+    /// off dark wire, wherever it falls. `None`: outlines are taken as they are seen.
+    ///
+    /// [`ShadowSide::radii`]: super::shadow::ShadowSide::radii
+    pub fn with_shadow(self, shadow: Option<Vector2<f64>>) -> Self {
+        Self { shadow, ..self }
     }
 
     /// Whether outlines are taken lower than half way.
@@ -149,9 +165,10 @@ impl<'a> Profiler<'a> {
         let fall = outline(bytes, half - window..half + window + 1, span, level)?;
         let to_px = |at: f64| (first + at - centre) * scale;
         let (mut low, mut high) = (fall.low.map(|c| to_px(c.at)), fall.high.map(|c| to_px(c.at)));
-        if self.dark_parts() {
+        if let Some(shadow) = self.shadow {
             let steepness = [fall.low, fall.high].map(|c| c.map_or(0.0, |c| c.steepness));
-            without_shadow(steepness, &mut low, &mut high, 2.0 * half_width_px);
+            let shadow_above = shadow.dot(&across) * cos.signum();
+            without_shadow(steepness, shadow_above, &mut low, &mut high, 2.0 * half_width_px);
         }
         let (low_px, high_px) = if cos < 0.0 { (high.map(|h| -h), low.map(|l| -l)) } else { (low, high) };
         Some(Section { low_px, high_px })
@@ -244,18 +261,22 @@ struct Crossing {
 }
 
 /// Takes the shadow off that joins a dark wire on a light floor: where the outlines are farther apart than the wire is
-/// wide, the flatter one, by the steepness of both, is that of the shadow.
+/// wide, one of them is that of the shadow, by what is known of where it falls (`shadow_above`, in radii, positive on the high side),
+/// and by the steepness of both, of which the flatter is likely the shadow's.
 pub(super) fn without_shadow(
     [low_steepness, high_steepness]: [f64; 2],
+    shadow_above: f64,
     low_px: &mut Option<f64>,
     high_px: &mut Option<f64>,
     width_px: f64,
 ) {
     let (Some(low), Some(high)) = (*low_px, *high_px) else { return };
-    if !(width_px..SHADOW_WIDTHS_MAX * width_px).contains(&(high - low)) {
+    let widths_max = if shadow_above.abs() < SURE_RADII { SHADOW_WIDTHS_MAX } else { SURE_WIDTHS_MAX };
+    if !(width_px..widths_max * width_px).contains(&(high - low)) {
         return;
     }
-    if low_steepness > high_steepness {
+    let flatter_above = (low_steepness - high_steepness) / (low_steepness + high_steepness);
+    if flatter_above + STEEPNESS_PER_RADIUS * shadow_above > 0.0 {
         *high_px = Some(low + width_px);
     } else {
         *low_px = Some(high - width_px);

@@ -54,7 +54,7 @@ use crate::matching::search::Search;
 use crate::part::Part;
 use crate::picture::{Picture, halvings};
 use crate::pose::gloss::Gloss;
-use crate::pose::section::HALF_WAY;
+use crate::pose::shadow::ShadowSide;
 use crate::rig::Rig;
 use crate::time::{Budget, Spent, Timestamp, Watch};
 use crate::vision::binarize;
@@ -66,7 +66,7 @@ use prepared::Prepared;
 pub use result::{Doubt, FoundNode, FoundPart, NoPick, Recognition, Refusal, Seen, Side, StageTimes, Turned};
 use unexplained::{is_claimed, unexplained_px};
 use unknown::Unknown;
-use views::{lit, outline_256, views};
+use views::{DARK_OUTLINE_256, Lighting, lit, outline_256, views};
 use votes::Votes;
 
 /// Shares of the time that is left each time, in each go at a pair: for the search, for looking at what it found, which takes about as long, and
@@ -77,6 +77,8 @@ const COMPETE_SHARE: f64 = 0.5;
 /// Unexplained skeleton as long as this share of what must be seen of a part is reason to look for one: where it lies along
 /// another, their wires have but one skeleton.
 const UNEXPLAINED_SHARE: f64 = 0.5;
+/// Most hypotheses that are asked where shadows fall.
+const SHADOWS_MAX: usize = 64;
 /// Most hypotheses of a pair.
 const HYPOTHESES_MAX: usize = 16384;
 
@@ -96,8 +98,8 @@ pub struct Recognizer {
     explanations: Explanations,
     unknown: Unknown,
     gloss: Gloss,
-    /// At which level outlines are taken.
-    outline_256: u8,
+    shadow_side: ShadowSide,
+    lighting: Lighting,
     second: Option<hands::Owner>,
     /// As calibrated.
     rig: Rig,
@@ -149,7 +151,8 @@ impl Recognizer {
             explanations: Explanations::new(lit(&params), &rig, params.nodes.nodes_max, &parts),
             unknown: Unknown::new(&pictures),
             gloss: Gloss::new(Level::detect()),
-            outline_256: HALF_WAY,
+            shadow_side: ShadowSide::new(Level::detect()),
+            lighting: Lighting::default(),
             pictures,
             params,
             scales,
@@ -232,7 +235,7 @@ impl Recognizer {
         out.parts.clear();
         self.search(budget.less(out.spent.iterations).share(SEARCH_SHARE), *seed, out);
         let matched = Timestamp::now();
-        self.judge_gloss(pair);
+        self.judge_lighting(pair);
         self.explanations.clear(self.pictures.each_ref().map(Picture::nodes));
         looking.set_again(*budget, LOOK_SHARE);
         let mut all_looked_at = self.explain(pair, false, looking);
@@ -431,20 +434,35 @@ impl Recognizer {
         })
     }
 
-    /// Finds out at which level outlines are to be taken.
-    fn judge_gloss(&mut self, pair: &FramePair) {
-        let Self { pictures, scales, thickness_mm, search, params, gloss, .. } = self;
+    /// Finds out at which level outlines are to be taken, and where the shadows of dark parts fall.
+    fn judge_lighting(&mut self, pair: &FramePair) {
+        let Self { pictures, scales, thickness_mm, parts, search, pool, params, gloss, shadow_side, .. } =
+            self;
         let rig = rig_of(scales, pictures);
-        let graphs = pictures.each_ref().map(Picture::graph);
-        let nodes = search.near_nodes().map(|(_, node)| node);
-        self.outline_256 = views(pictures, rig, pair, params, HALF_WAY)
-            .map_or(HALF_WAY, |views| outline_256(gloss, &views, graphs, nodes, thickness_mm[0]));
+        self.lighting = Lighting::default();
+        let dark = params.binarize.iter().any(|b| b.inverted);
+        if dark {
+            self.lighting.outline_256 = DARK_OUTLINE_256;
+        }
+        let Some(views) = views(pictures, rig, pair, params, self.lighting) else { return };
+        if dark {
+            shadow_side.clear();
+            for hypothesis in pool.iter().take(SHADOWS_MAX) {
+                let model = &parts[hypothesis.part].pose_model;
+                shadow_side.look_at(model, &hypothesis.left_from_part, &views);
+            }
+            self.lighting.shadow_radii = shadow_side.radii();
+        } else {
+            let graphs = pictures.each_ref().map(Picture::graph);
+            let nodes = search.near_nodes().map(|(_, node)| node);
+            self.lighting.outline_256 = outline_256(gloss, &views, graphs, nodes, thickness_mm[0]);
+        }
     }
 
     /// Holds the pool's hypotheses against both pictures, for the first time or `again`; says whether all of them.
     fn explain(&mut self, pair: &FramePair, again: bool, looking: &mut Watch) -> bool {
         let rig = rig_of(&self.scales, &self.pictures);
-        let views = views(&self.pictures, rig, pair, &self.params, self.outline_256);
+        let views = views(&self.pictures, rig, pair, &self.params, self.lighting);
         let Some(views) = views else { return true };
         let scene = Scene {
             rig,

@@ -23,9 +23,9 @@ impl Recognizer {
         exchanging: &mut Watch,
         out: &mut Recognition,
     ) -> bool {
-        let Self { explanations, parts, scales, pictures, params, outline_256, .. } = self;
+        let Self { explanations, parts, scales, pictures, params, lighting, .. } = self;
         let rig = rig_of(scales, pictures);
-        let Some(views) = views(pictures, rig, pair, params, *outline_256) else { return true };
+        let Some(views) = views(pictures, rig, pair, params, *lighting) else { return true };
         let in_time = explanations.decide(parts, &params.select, &views, exchanging, PARTS_MAX);
         explanations.press_apart(parts, &grasp::down_in_left(&params.grasp), &views);
         let prepared = |e: &Explanation| &parts[e.hypothesis.part];
@@ -45,9 +45,9 @@ impl Recognizer {
 
     /// Finds what is blocked and ranks; was there no time for all, what does not stand alone is blocked.
     pub(super) fn grasp(&mut self, pair: &FramePair, in_time: bool, out: &mut Recognition) {
-        let Self { parts, params, scales, pictures, explanations, unknown, outline_256, .. } = self;
+        let Self { parts, params, scales, pictures, explanations, unknown, lighting, .. } = self;
         let rig = rig_of(scales, pictures);
-        let views = views(pictures, rig, pair, params, *outline_256);
+        let views = views(pictures, rig, pair, params, *lighting);
         let placed: ArrayVec<Placed, PARTS_MAX> =
             out.parts.iter().map(|f| parts[f.part].placed(&f.left_from_part, f.sigma_mm)).collect();
         let mut blocked = [None; PARTS_MAX];

@@ -1,7 +1,7 @@
 //! The pictures of a pair as pose estimation reads them.
 
 use arrayvec::ArrayVec;
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Vector2};
 
 use super::Params;
 use crate::frame::{FramePair, LumaView};
@@ -19,7 +19,7 @@ use crate::vision::graph::Graph;
 const DARK_LIFT_RADII: f64 = -0.33;
 /// At which level outlines of dark parts are taken, in 1/256 of the way from the floor's light to theirs: nearer to theirs than
 /// half way, for shadows lie between.
-const DARK_OUTLINE_256: u8 = 144;
+pub(super) const DARK_OUTLINE_256: u8 = 144;
 
 /// Refinement as the light wants it: dark parts on a light floor are seen whole, and the outline of an end is the rim of its
 /// silhouette, 0.93 radii from the axis in the mean over the width that is looked at.
@@ -38,6 +38,22 @@ pub(super) fn lit(params: &Params) -> refine::Params {
     }
 }
 
+/// What the light of a pair does to outlines.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Lighting {
+    /// At which level they are taken, see [`Profiler::with_outlines_at`].
+    pub(super) outline_256: u8,
+    /// Where the shadows of dark parts fall, along x and y of the left camera, see [`ShadowSide::radii`](crate::pose::shadow::ShadowSide::radii).
+    pub(super) shadow_radii: Vector2<f64>,
+}
+
+impl Default for Lighting {
+    /// That of dull wire under a lamp above.
+    fn default() -> Self {
+        Self { outline_256: HALF_WAY, shadow_radii: Vector2::zeros() }
+    }
+}
+
 /// Depths of nodes of which the median is taken.
 const DEPTHS_MAX: usize = 256;
 
@@ -50,9 +66,6 @@ pub(super) fn outline_256<'a>(
     nodes: impl Iterator<Item = &'a StereoNode>,
     thinnest_mm: f64,
 ) -> u8 {
-    if views.iter().any(|view| view.profiler.dark_parts()) {
-        return DARK_OUTLINE_256;
-    }
     let mut depths_mm: ArrayVec<f64, DEPTHS_MAX> =
         nodes.map(|node| node.point_mm.z).take(DEPTHS_MAX).collect();
     if depths_mm.is_empty() {
@@ -71,17 +84,21 @@ pub(super) fn views<'a>(
     rig: &'a Rig,
     pair: &'a FramePair,
     params: &Params,
-    outline_256: u8,
+    Lighting { outline_256, shadow_radii }: Lighting,
 ) -> Option<[View<'a>; 2]> {
     let view = |side: usize, frame, camera, camera_from_left: Isometry3<f64>| {
         let picture = &pictures[side];
         let luma = LumaView::new(picture.luma(frame))?;
+        let rotation = camera_from_left.rotation.to_rotation_matrix().into_inner();
+        let is_dark = params.binarize[side].inverted;
+        let shadow = is_dark.then(|| (rotation * shadow_radii.push(0.0)).xy());
         Some(View {
             camera,
-            rotation: camera_from_left.rotation.to_rotation_matrix().into_inner(),
+            rotation,
             camera_from_left,
-            profiler: Profiler::new(luma, params.binarize[side].inverted, CONTRAST_MIN)
-                .with_outlines_at(outline_256),
+            profiler: Profiler::new(luma, is_dark, CONTRAST_MIN)
+                .with_outlines_at(outline_256)
+                .with_shadow(shadow),
             mask: picture.mask(),
         })
     };

@@ -10,7 +10,7 @@ use crate::grasp::Blocked;
 use crate::part::Part;
 use crate::pose::section::HALF_WAY;
 use crate::pose::slide;
-use crate::recognize::views::views;
+use crate::recognize::views::{Lighting, views};
 use crate::recognize::{FoundPart, Params, Recognition, Recognizer};
 use crate::rig::CameraModel;
 use crate::session::read_picture;
@@ -157,7 +157,7 @@ fn a_rod_with_both_ends_on_others_lies_in_the_middle_of_where_it_can() {
     let mut recognizer = Recognizer::new(Params::default(), rig, vec![rod("rod-75", 75.0)]).unwrap();
     recognizer.run(&pair, Budget::Iterations(100_000), 1, &mut Recognition::default()).unwrap();
     let Recognizer { pictures, params, parts, explanations, .. } = recognizer;
-    let views = views(&pictures, &rig, &pair, &params, HALF_WAY).unwrap();
+    let views = views(&pictures, &rig, &pair, &params, Lighting::default()).unwrap();
     let turn = nalgebra::UnitQuaternion::rotation_between(&Vector3::x(), &along).unwrap();
     for displaced_mm in [-5.0, 0.0, 5.0] {
         let pose = Isometry3::from_parts(at(displaced_mm, 0.0).into(), turn);
@@ -210,7 +210,7 @@ fn polished_rods_are_recognised() {
     recognizer
         .run(&drawn_in_light(&rig, &rods, polished), Budget::Iterations(100_000), 1, &mut found)
         .unwrap();
-    assert!(recognizer.outline_256 < HALF_WAY);
+    assert!(recognizer.lighting.outline_256 < HALF_WAY);
     for rod in &rods {
         let middle = nalgebra::center(&rod[0], &rod[1]);
         let near = |p: &&FoundPart| (p.left_from_part.translation.vector - middle.coords).norm() < 1.0;
