@@ -136,18 +136,19 @@ impl Outlines {
         for l in 0..self.count {
             let [is_low, is_high] = falls.each_ref().map(|falls| falls.below[l] != NONE);
             let (mut low_px, mut high_px) = (is_low.then_some(low_px[l]), is_high.then_some(high_px[l]));
+            let mut is_off_shadow = false;
             if let Some(shadow) = profilers[self.side[l]].shadow {
                 let steepness = [low.steepness[l], high.steepness[l]];
                 let across = Vector2::new(self.across[0][l], self.across[1][l]);
                 let shadow_above = shadow.dot(&across) * reading.cos[l].signum();
                 let width_px = 2.0 * self.half_width_px[l];
-                without_shadow(steepness, shadow_above, &mut low_px, &mut high_px, width_px);
+                is_off_shadow = without_shadow(steepness, shadow_above, &mut low_px, &mut high_px, width_px);
             }
             if reading.cos[l] < 0.0 {
                 (low_px, high_px) = (high_px.map(|h| -h), low_px.map(|l| -l));
             }
             let is_seen = is_inside[l] & (is_low | is_high);
-            self.sections[l] = is_seen.then_some(Section { low_px, high_px });
+            self.sections[l] = is_seen.then_some(Section { low_px, high_px, is_off_shadow });
         }
     }
 

@@ -44,6 +44,8 @@ pub struct Section {
     pub low_px: Option<f64>,
     /// The outline on the positive side.
     pub high_px: Option<f64>,
+    /// Whether one of them was a shadow's, and is where the wire's must be.
+    pub is_off_shadow: bool,
 }
 
 impl Section {
@@ -100,6 +102,12 @@ impl<'a> Profiler<'a> {
     /// [`ShadowSide::radii`]: super::shadow::ShadowSide::radii
     pub fn with_shadow(self, shadow: Option<Vector2<f64>>) -> Self {
         Self { shadow, ..self }
+    }
+
+    /// How many radii lower than a wire's outline that of its shadow lies on its positive side, across it; negative where it lies on the
+    /// other. Nought where that is not known, and of bright wire.
+    pub(super) fn shadow_above(&self, across: &Vector2<f64>) -> f64 {
+        self.shadow.map_or(0.0, |shadow| shadow.dot(across))
     }
 
     /// Whether outlines are taken lower than half way.
@@ -165,13 +173,14 @@ impl<'a> Profiler<'a> {
         let fall = outline(bytes, half - window..half + window + 1, span, level)?;
         let to_px = |at: f64| (first + at - centre) * scale;
         let (mut low, mut high) = (fall.low.map(|c| to_px(c.at)), fall.high.map(|c| to_px(c.at)));
+        let mut is_off_shadow = false;
         if let Some(shadow) = self.shadow {
             let steepness = [fall.low, fall.high].map(|c| c.map_or(0.0, |c| c.steepness));
             let shadow_above = shadow.dot(&across) * cos.signum();
-            without_shadow(steepness, shadow_above, &mut low, &mut high, 2.0 * half_width_px);
+            is_off_shadow = without_shadow(steepness, shadow_above, &mut low, &mut high, 2.0 * half_width_px);
         }
         let (low_px, high_px) = if cos < 0.0 { (high.map(|h| -h), low.map(|l| -l)) } else { (low, high) };
-        Some(Section { low_px, high_px })
+        Some(Section { low_px, high_px, is_off_shadow })
     }
 
     /// The light between the borders of a wire's outline, along the unit vector `across`; from where the middle between them
@@ -260,20 +269,25 @@ struct Crossing {
     steepness: f64,
 }
 
+/// Whether it is known on which side of wire its shadow lies, see [`Profiler::shadow_above`].
+pub(super) fn is_sure(shadow_above: f64) -> bool {
+    shadow_above.abs() >= SURE_RADII
+}
+
 /// Takes the shadow off that joins a dark wire on a light floor: where the outlines are farther apart than the wire is
 /// wide, one of them is that of the shadow, by what is known of where it falls (`shadow_above`, in radii, positive on the high side),
-/// and by the steepness of both, of which the flatter is likely the shadow's.
+/// and by the steepness of both, of which the flatter is likely the shadow's. Says whether it was taken off.
 pub(super) fn without_shadow(
     [low_steepness, high_steepness]: [f64; 2],
     shadow_above: f64,
     low_px: &mut Option<f64>,
     high_px: &mut Option<f64>,
     width_px: f64,
-) {
-    let (Some(low), Some(high)) = (*low_px, *high_px) else { return };
-    let widths_max = if shadow_above.abs() < SURE_RADII { SHADOW_WIDTHS_MAX } else { SURE_WIDTHS_MAX };
+) -> bool {
+    let (Some(low), Some(high)) = (*low_px, *high_px) else { return false };
+    let widths_max = if is_sure(shadow_above) { SURE_WIDTHS_MAX } else { SHADOW_WIDTHS_MAX };
     if !(width_px..widths_max * width_px).contains(&(high - low)) {
-        return;
+        return false;
     }
     let flatter_above = (low_steepness - high_steepness) / (low_steepness + high_steepness);
     if flatter_above + STEEPNESS_PER_RADIUS * shadow_above > 0.0 {
@@ -281,6 +295,7 @@ pub(super) fn without_shadow(
     } else {
         *low_px = Some(high - width_px);
     }
+    is_sure(shadow_above)
 }
 
 /// Finds the peak of `profile` within `window` and where it has fallen to so far above the lowest value within `span` samples,

@@ -266,11 +266,11 @@ fn judge_ends(refine: &Refine, verdict: &mut Verdict) {
         |end: &&[Option<EndSighting>; 2]| end.iter().all(|side| side.is_some_and(|e| e.beyond_px.is_some()));
     verdict.ends_in_both = refine.ends().iter().filter(in_both).count() as u32;
     verdict.hidden_px = refine.ends().iter().flatten().flatten().map(|e| e.mask_beyond_px).sum();
-    for beyond in refine.ends().iter().flatten().flatten().filter_map(|e| e.beyond_px) {
+    for off_px in refine.ends().iter().flatten().flatten().filter_map(EndSighting::off_px) {
         verdict.ends_seen += 1;
-        verdict.ends_off_px += beyond.abs();
-        verdict.end_offset_px = verdict.end_offset_px.max(beyond.abs().min(verdict.end_farthest_px));
-        verdict.end_farthest_px = verdict.end_farthest_px.max(beyond.abs());
+        verdict.ends_off_px += off_px;
+        verdict.end_offset_px = verdict.end_offset_px.max(off_px.min(verdict.end_farthest_px));
+        verdict.end_farthest_px = verdict.end_farthest_px.max(off_px);
     }
 }
 

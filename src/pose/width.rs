@@ -93,7 +93,7 @@ mod tests {
     use super::*;
 
     fn section(low: f64, high: f64) -> Section {
-        Section { low_px: Some(low), high_px: Some(high) }
+        Section { low_px: Some(low), high_px: Some(high), is_off_shadow: false }
     }
 
     #[test]

@@ -145,7 +145,7 @@ impl Recognizer {
         Ok(Self {
             votes: Votes::new(thickness_mm, depth_mm),
             thickness_mm,
-            search: Search::new(params.search, GateParams { depth_mm, ..params.gate }, parts.len()),
+            search: Search::new(params.search, gate(&params, depth_mm), parts.len()),
             pool: Vec::with_capacity(HYPOTHESES_MAX),
             lines: Lines::new(lines::Params { depth_mm, ..params.lines }, params.ridges.stretches_max),
             explanations: Explanations::new(lit(&params), &rig, params.nodes.nodes_max, &parts),
@@ -496,6 +496,12 @@ struct Job<'a> {
 fn depth_mm(rig: &Rig, thickest_mm: f64) -> [f64; 2] {
     let focal_px = [rig.left, rig.right].iter().flat_map(|c| [c.fx, c.fy]).fold(0.0, f64::max);
     [rig.right_from_left.translation.vector.norm() / 2.0, focal_px * thickest_mm]
+}
+
+fn gate(params: &Params, depth_mm: [f64; 2]) -> GateParams {
+    let dark = params.binarize.iter().any(|b| b.inverted);
+    let thickness_factor_max = if dark { 2.6 } else { params.gate.thickness_factor_max };
+    GateParams { depth_mm, thickness_factor_max, ..params.gate }
 }
 
 /// That of the size in which the pictures were looked at.

@@ -19,8 +19,11 @@ const BARE_SEARCH_PX: f64 = 1.5;
 /// See [`EndSighting::mask_beyond_px`].
 const HIDDEN_PX_MAX: u32 = 12;
 
-/// How far beyond an end of dark wire its shadow may be taken for wire, in radii, for each radius that the shadow lies lower.
+/// How far beyond an end of dark wire its shadow is taken for wire, in radii, for each radius that the shadow lies lower; a
+/// standard deviation.
 const END_RADII_PER_RADIUS: f64 = 0.7;
+/// So many of these standard deviations may be shadow.
+const SHADOW_SIGMAS: f64 = 2.0;
 
 /// A free end in one picture: how far beyond the expected place it is seen.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -34,14 +37,23 @@ pub struct EndSighting {
     /// Length of mask from the expected place outwards where the end is hidden, up to 12.
     pub mask_beyond_px: f64,
     pub(super) half_width_px: f64,
-    /// Standard deviation of what the face of the end, and the shadow behind it, is taken for.
+    /// Standard deviation of what the face of the end is taken for.
     pub(super) face_px: f64,
+    /// That of how much of its shadow behind it is taken for wire.
+    pub(super) shadow_px: f64,
     /// How far it moves along when the wire is raised by a radius.
     pub(super) lift_px: f64,
     pub(super) gradient: Vector6<f64>,
 }
 
 impl EndSighting {
+    /// How far it is seen from where it is expected, in pixels, but for shadow behind it.
+    pub fn off_px(&self) -> Option<f64> {
+        let beyond_px = self.beyond_px?;
+        let shadow_px = beyond_px.clamp(0.0, SHADOW_SIGMAS * self.shadow_px);
+        Some((beyond_px - shadow_px).abs())
+    }
+
     /// Where the wire just before it, where it is seen, is looked at: places of its middle.
     fn before(&self, profiler: &Profiler) -> impl Iterator<Item = Vector2<f64>> {
         let places = if profiler.dark_parts() { &BARE_HALF_WIDTHS[..2] } else { &BARE_HALF_WIDTHS[..] };
@@ -117,13 +129,14 @@ impl Refine {
                 let (lift_radii, lift_sigma) = params.end_lift(lean_sin, sees_face);
                 let aim = aim(model.radius_mm, &(point + raised * lift_radii), &outward, view)?;
                 let shadow_radii = view.profiler.shadow.map_or(0.0, |shadow| shadow.dot(&aim.along).max(0.0));
-                let face_radii = (lift_sigma * lean_sin).hypot(END_RADII_PER_RADIUS * shadow_radii);
+                let shadow_px = END_RADII_PER_RADIUS * shadow_radii * aim.half_width_px;
                 Some(EndSighting {
                     beyond_px: view.profiler.end(aim.px, aim.along, aim.half_width_px, search_px, how),
                     expected_px: aim.px,
                     outward: aim.along,
                     mask_beyond_px: 0.0,
-                    face_px: face_radii * aim.half_width_px,
+                    face_px: lift_sigma * lean_sin * aim.half_width_px,
+                    shadow_px,
                     half_width_px: aim.half_width_px,
                     lift_px: (aim.jacobian * raised).dot(&aim.along),
                     gradient: aim.gradient(&aim.along, &(point - centre)),

@@ -30,6 +30,10 @@ pub(super) fn measure_outlines(
             if let Some((residual_px, sigma_px)) =
                 usual.middle_of(&section, half_width_px, search_px, params.section_sigma_px)
             {
+                // The outline that the light leaves is the wire's own, not that of a line above or below its axis.
+                let lifted_px =
+                    if section.is_off_shadow { params.lift_radii * sighting.lift_px } else { 0.0 };
+                let residual_px = residual_px + lifted_px;
                 let shaded = model.straight_along.map(|_| side);
                 each(
                     Measurement { residual_px, gradient: sighting.gradient, sigma_px, patience: 1.0, shaded },
@@ -55,7 +59,7 @@ pub(super) fn measure_ends(
                 Measurement {
                     residual_px,
                     gradient: end.gradient,
-                    sigma_px: params.end_sigma_px.hypot(end.face_px),
+                    sigma_px: params.end_sigma_px.hypot(end.face_px).hypot(end.shadow_px),
                     patience: END_PATIENCE,
                     shaded: None,
                 },

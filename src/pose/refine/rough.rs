@@ -7,7 +7,7 @@ use super::measure::measure_ends;
 use super::{Refine, STATIONS_MAX, View, each_expected};
 use crate::pose::end::EndLook;
 use crate::pose::model::PoseModel;
-use crate::pose::section::mask_run;
+use crate::pose::section::{is_sure, mask_run};
 
 /// Every so many stations are looked at while the pose is rough, but for parts of short pieces.
 const COARSE_STRIDE: usize = 3;
@@ -85,11 +85,17 @@ impl Refine {
         let stations = model.stations.iter().take(STATIONS_MAX).step_by(coarse_stride(model));
         let stations = stations.filter(|s| !s.at_joint);
         each_expected(&sweep, stations, views, |_, side, there| {
+            let View { mask, profiler, .. } = &views[side];
+            let shadow_above = profiler.shadow_above(&there.across);
             let widest_px = 3.2 * there.half_width_px + 1.0;
-            let run = mask_run(views[side].mask, there.px, there.across, search_px, widest_px);
-            let Some((middle, _)) = run.filter(|(_, width)| *width <= widest_px) else {
+            let run = mask_run(mask, there.px, there.across, search_px, widest_px);
+            let Some((middle, width)) = run.filter(|(_, width)| *width <= widest_px) else {
                 return;
             };
+            // What is wider is the shadow beside it.
+            let shadow_px =
+                if is_sure(shadow_above) { (width - 2.0 * there.half_width_px).max(0.0) } else { 0.0 };
+            let middle = middle - shadow_px / 2.0 * shadow_above.signum();
             equations.push(&Measurement {
                 residual_px: middle,
                 gradient: there.gradient,
