@@ -42,26 +42,39 @@ const SEARCH_PX: f64 = 1.5;
 /// something else.
 const WIDTHS: [f64; 2] = [0.6, 2.6];
 const DIFFERS_MAX: f64 = 0.35;
-/// A difference in width is told to about so many pixels, and shadow lies about a radius lower than the wire: that much is
-/// needed to believe in a direction.
-const NOISE_PX: f64 = 0.5;
+/// To how many pixels a difference in width is told. As shadow lies about a radius lower than the wire, as much as so many pixels for
+/// each radius is needed to believe in a direction.
+const NOISE_PX: f64 = 0.25;
+/// How often those that differ from what most say are believed less.
+const ROUNDS: usize = 8;
+/// Places that there is room for.
+const PLACES_MAX: usize = 1024;
 
-/// Adds up what many wires show.
+/// Collects what many wires show.
 pub struct ShadowSide {
     outlines: Outlines,
-    normal: Matrix2<f64>,
-    right_side: Vector2<f64>,
+    places: Vec<Place>,
+}
+
+/// What both pictures show at one place of a wire.
+struct Place {
+    /// Unit vector across it in the left picture.
+    across: Vector2<f64>,
+    /// By how many pixels what lies a radius lower, and at the same place of the left picture, is farther across in the right one.
+    moves_px: f64,
+    /// How much wider the right one shows it, in pixels.
+    wider_px: f64,
 }
 
 impl ShadowSide {
     /// With instructions of this level.
     pub fn new(level: Level) -> Self {
-        Self { outlines: Outlines::new(level), normal: Matrix2::zeros(), right_side: Vector2::zeros() }
+        Self { outlines: Outlines::new(level), places: Vec::with_capacity(PLACES_MAX) }
     }
 
     /// Forgets what was seen.
     pub fn clear(&mut self) {
-        (self.normal, self.right_side) = (Matrix2::zeros(), Vector2::zeros());
+        self.places.clear();
     }
 
     /// Adds what is seen of a part in about this pose.
@@ -76,7 +89,6 @@ impl ShadowSide {
             let tangent = left_from_part * station.tangent;
             let [left, right] = views.each_ref().map(|view| aim(model.radius_mm, &point, &tangent, view));
             let (Some(left), Some(right)) = (left, right) else { continue };
-            // By how many pixels what lies a radius lower, and at the same place of the left picture, is farther across in the right one.
             let lower = point.coords.normalize() * model.radius_mm;
             let moves_px = (right.jacobian * lower).dot(&right.across);
             signs[count] = (left.across, moves_px, left.half_width_px);
@@ -92,10 +104,13 @@ impl ShadowSide {
             let (Some(left_px), Some(right_px)) = (widths_px[0], widths_px[1]) else { continue };
             let silhouette_px = 2.0 * half_width_px;
             let is_wire = |px: f64| (WIDTHS[0]..WIDTHS[1]).contains(&(px / silhouette_px));
-            let differs_px = right_px - left_px;
-            if is_wire(left_px) && is_wire(right_px) && differs_px.abs() < DIFFERS_MAX * silhouette_px {
-                self.normal += across * across.transpose() * moves_px.powi(2);
-                self.right_side += across * (moves_px * differs_px);
+            let wider_px = right_px - left_px;
+            if is_wire(left_px)
+                && is_wire(right_px)
+                && wider_px.abs() < DIFFERS_MAX * silhouette_px
+                && self.places.len() < PLACES_MAX
+            {
+                self.places.push(Place { across: *across, moves_px: *moves_px, wider_px });
             }
         }
     }
@@ -103,7 +118,19 @@ impl ShadowSide {
     /// Where shadows fall, along x and y of the left camera: how many radii lower than the wire's outline the shadow's is on the far side of wire
     /// across that direction. Nought where nothing tells.
     pub fn radii(&self) -> Vector2<f64> {
-        let inverse = (self.normal + Matrix2::identity() * NOISE_PX.powi(2)).try_inverse();
-        inverse.map_or(Vector2::zeros(), |inverse| inverse * self.right_side)
+        let mut radii = Vector2::zeros();
+        for round in 0..=ROUNDS {
+            let (mut normal, mut right_side) = (Matrix2::identity() * NOISE_PX.powi(2), Vector2::zeros());
+            for Place { across, moves_px, wider_px } in &self.places {
+                // What is much wider in one picture is so for a neighbour, or for a shadow far below; that tells no more.
+                let wider_px = wider_px.clamp(-moves_px.abs(), moves_px.abs());
+                let odd = (wider_px - moves_px * across.dot(&radii)) / NOISE_PX;
+                let belief = if round == 0 { 1.0 } else { (1.0 + odd * odd).powi(-2) };
+                normal += across * across.transpose() * (belief * moves_px.powi(2));
+                right_side += across * (belief * moves_px * wider_px);
+            }
+            radii = normal.try_inverse().map_or(Vector2::zeros(), |inverse| inverse * right_side);
+        }
+        radii
     }
 }
