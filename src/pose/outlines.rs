@@ -342,8 +342,9 @@ mod tests {
             };
             let luma = LumaView::new(&frame).unwrap();
             let contrast_min = [0.0, 7.5, 40.2][case % 3];
+            let shadow = [None, Some(Vector2::zeros()), Some(Vector2::new(0.8, -0.6))][case / 2 % 3];
             let profilers = [
-                Profiler::new(luma, dark, 12.0),
+                Profiler::new(luma, dark, 12.0).with_shadow(shadow),
                 Profiler::new(luma, !dark, contrast_min).with_outlines_at([128, 64, 250, 1][case % 4]),
             ];
             let search_px = [1.0, 1.5, 2.5, 7.0][case % 4];

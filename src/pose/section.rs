@@ -31,11 +31,11 @@ pub(super) const DIP_BESIDE_PX: usize = 5;
 pub const HALF_WAY: u8 = 128;
 /// From so many widths on it is no shadow that joins a dark wire, but another wire.
 const SHADOW_WIDTHS_MAX: f64 = 1.2;
-/// The same where it is known on which side the shadow lies, as it is from so many radii on.
+/// The same where it is known on which side the shadow lies, as it is of wire that it falls so much across.
 const SURE_WIDTHS_MAX: f64 = 2.2;
-const SURE_RADII: f64 = 0.4;
-/// By what share one outline is steeper than the other that says as much about the side of the shadow as one radius.
-const STEEPNESS_PER_RADIUS: f64 = 0.5;
+const SURE_ACROSS: f64 = 1.0 / 3.0;
+/// The difference of the steepness of both outlines, over their sum, that says as much as a shadow known to fall straight across.
+const STEEPER_PER_ACROSS: f64 = 0.6;
 
 /// The outline of a wire along a line across it, as signed distances in pixels from the line's origin.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -96,16 +96,16 @@ impl<'a> Profiler<'a> {
         Self { outline_256, ..self }
     }
 
-    /// The same, with the shadow taken off that joins wire, and falls about this way in the picture, see [`ShadowSide::radii`]; else,
-    /// off dark wire, wherever it falls. `None`: outlines are taken as they are seen.
+    /// The same, with the shadow taken off that joins wire and falls this way in the picture, a unit vector, see [`ShadowSide::falls`];
+    /// nought where it is not known which way, as else of dark wire. `None`: outlines are taken as they are seen.
     ///
-    /// [`ShadowSide::radii`]: super::shadow::ShadowSide::radii
+    /// [`ShadowSide::falls`]: super::shadow::ShadowSide::falls
     pub fn with_shadow(self, shadow: Option<Vector2<f64>>) -> Self {
         Self { shadow, ..self }
     }
 
-    /// How many radii lower than a wire's outline that of its shadow lies on its positive side, across it; negative where it lies on the
-    /// other. Nought where that is not known, and of bright wire.
+    /// How much of the way across a wire its shadow falls: 1 straight to its positive side, -1 to the other, nought along it, where
+    /// that is not known, and of bright wire.
     pub(super) fn shadow_above(&self, across: &Vector2<f64>) -> f64 {
         self.shadow.map_or(0.0, |shadow| shadow.dot(across))
     }
@@ -271,11 +271,11 @@ struct Crossing {
 
 /// Whether it is known on which side of wire its shadow lies, see [`Profiler::shadow_above`].
 pub(super) fn is_sure(shadow_above: f64) -> bool {
-    shadow_above.abs() >= SURE_RADII
+    shadow_above.abs() >= SURE_ACROSS
 }
 
 /// Takes the shadow off that joins a dark wire on a light floor: where the outlines are farther apart than the wire is
-/// wide, one of them is that of the shadow, by what is known of where it falls (`shadow_above`, in radii, positive on the high side),
+/// wide, one of them is that of the shadow, by what is known of where it falls (`shadow_above`: see [`Profiler::shadow_above`]),
 /// and by the steepness of both, of which the flatter is likely the shadow's. Says whether it was taken off.
 pub(super) fn without_shadow(
     [low_steepness, high_steepness]: [f64; 2],
@@ -290,7 +290,7 @@ pub(super) fn without_shadow(
         return false;
     }
     let flatter_above = (low_steepness - high_steepness) / (low_steepness + high_steepness);
-    if flatter_above + STEEPNESS_PER_RADIUS * shadow_above > 0.0 {
+    if flatter_above + STEEPER_PER_ACROSS * shadow_above > 0.0 {
         *high_px = Some(low + width_px);
     } else {
         *low_px = Some(high - width_px);
@@ -449,5 +449,27 @@ mod tests {
         let without = middle(&dark_wire(&[]));
         let with = middle(&dark_wire(&[115, 150, 180]));
         assert!(without.abs() < 0.05 && (with - without).abs() < 0.05, "{without} {with}");
+    }
+
+    #[test]
+    fn a_shadow_as_dark_and_sharp_as_the_wire_is_taken_off_where_its_side_is_known() {
+        // The shadow, darker than the wire even, makes it look twice as wide.
+        let frame = dark_wire(&[45; 6]);
+        let profiler = Profiler::new(LumaView::new(&frame).unwrap(), true, 12.0);
+        let seen = |profiler: Profiler, across: Vector2<f64>| {
+            profiler.across(Vector2::new(20.5, 20.0), across, 3.0, 1.5).unwrap()
+        };
+        let at_right = profiler.with_shadow(Some(Vector2::new(0.8, 0.6)));
+        for across in [Vector2::x(), -Vector2::x()] {
+            let section = seen(at_right, across);
+            let (middle, width) = section.middle_and_width().unwrap();
+            assert!((middle * across.x + 1.0).abs() < 0.1 && (width - 6.0).abs() < 1e-9, "{middle} {width}");
+            assert!(section.is_off_shadow);
+        }
+        // It may be another wire as well, where that is not known, or what is seen is asked for.
+        for unknown in [profiler, profiler.with_shadow(None)] {
+            let section = seen(unknown, Vector2::x());
+            assert!(section.middle_and_width().unwrap().1 > 11.0 && !section.is_off_shadow);
+        }
     }
 }

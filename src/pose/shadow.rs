@@ -2,8 +2,8 @@
 //!
 //! Shadow as dark as the wire makes it look wider, and no brightness tells which of its outlines is the shadow's. But shadow lies
 //! lower than the wire, and so the camera on its side sees more of it than the other: the two see the wire differently wide, by
-//! what the disparity differs. One wire shows that with the noise of its outlines, all wires of a bin together show
-//! the direction in which shadows fall.
+//! what the disparity differs. And wire that lies across the direction in which shadows fall looks wider than wire along it.
+//! One wire shows that with the noise of its outlines and with neighbours beside it; all wires of a bin together show the direction.
 //!
 //! ```
 //! use nalgebra::{Isometry3, Vector3};
@@ -23,12 +23,12 @@
 //! let drawn = DrawnPair::new(&drawn);
 //! let mut side = ShadowSide::new(Level::detect());
 //! rods.iter().for_each(|pose| side.look_at(&rod, pose, &drawn.views()));
-//! let found = side.radii();
-//! assert!(found.x > 0.3 && found.y.abs() < 0.5 * found.x, "{found}");
+//! let falls = side.falls().unwrap();
+//! assert!(falls.x > 0.8, "{falls}");
 //! # Ok::<(), pickcell::part::PartError>(())
 //! ```
 
-use nalgebra::{Isometry3, Matrix2, Vector2};
+use nalgebra::{Isometry3, Vector2};
 
 use super::aim::aim;
 use super::model::PoseModel;
@@ -42,18 +42,26 @@ const SEARCH_PX: f64 = 1.5;
 /// something else.
 const WIDTHS: [f64; 2] = [0.6, 2.6];
 const DIFFERS_MAX: f64 = 0.35;
-/// To how many pixels a difference in width is told. As shadow lies about a radius lower than the wire, as much as so many pixels for
-/// each radius is needed to believe in a direction.
+/// What differs by so many pixels in width from picture to picture, or by so many widths from what is expected, is half believed.
 const NOISE_PX: f64 = 0.25;
-/// How often those that differ from what most say are believed less.
-const ROUNDS: usize = 8;
-/// Places that there is room for.
-const PLACES_MAX: usize = 1024;
+const NOISE_WIDTHS: f64 = 0.25;
+/// How many widths wider wire looks for each radius that its shadow's outline lies lower than its own, and at most.
+const WIDTHS_PER_RADIUS: f64 = 0.9;
+const WIDER_WIDTHS_MAX: f64 = 0.9;
+/// Wire without shadow is about as wide as this share of what is seen is not.
+const BARE_SHARE: f64 = 0.15;
+/// Directions that are tried, all around, and how much lower shadows may lie, in radii.
+const DIRECTIONS: usize = 36;
+const LOWER_RADII: [f64; 3] = [0.3, 0.6, 1.0];
+/// Places that are collected, and that are asked.
+const PLACES_MAX: usize = 2048;
+const ASKED_MAX: usize = 256;
 
 /// Collects what many wires show.
 pub struct ShadowSide {
     outlines: Outlines,
     places: Vec<Place>,
+    widths: Vec<f64>,
 }
 
 /// What both pictures show at one place of a wire.
@@ -64,12 +72,18 @@ struct Place {
     moves_px: f64,
     /// How much wider the right one shows it, in pixels.
     wider_px: f64,
+    /// How wide both show it in the mean, over the wire's silhouette.
+    widths: f64,
 }
 
 impl ShadowSide {
     /// With instructions of this level.
     pub fn new(level: Level) -> Self {
-        Self { outlines: Outlines::new(level), places: Vec::with_capacity(PLACES_MAX) }
+        Self {
+            outlines: Outlines::new(level),
+            places: Vec::with_capacity(PLACES_MAX),
+            widths: Vec::with_capacity(ASKED_MAX),
+        }
     }
 
     /// Forgets what was seen.
@@ -110,27 +124,82 @@ impl ShadowSide {
                 && wider_px.abs() < DIFFERS_MAX * silhouette_px
                 && self.places.len() < PLACES_MAX
             {
-                self.places.push(Place { across: *across, moves_px: *moves_px, wider_px });
+                let widths = f64::midpoint(left_px, right_px) / silhouette_px;
+                self.places.push(Place { across: *across, moves_px: *moves_px, wider_px, widths });
             }
         }
     }
 
-    /// Where shadows fall, along x and y of the left camera: how many radii lower than the wire's outline the shadow's is on the far side of wire
-    /// across that direction. Nought where nothing tells.
-    pub fn radii(&self) -> Vector2<f64> {
-        let mut radii = Vector2::zeros();
-        for round in 0..=ROUNDS {
-            let (mut normal, mut right_side) = (Matrix2::identity() * NOISE_PX.powi(2), Vector2::zeros());
-            for Place { across, moves_px, wider_px } in &self.places {
-                // What is much wider in one picture is so for a neighbour, or for a shadow far below; that tells no more.
-                let wider_px = wider_px.clamp(-moves_px.abs(), moves_px.abs());
-                let odd = (wider_px - moves_px * across.dot(&radii)) / NOISE_PX;
-                let belief = if round == 0 { 1.0 } else { (1.0 + odd * odd).powi(-2) };
-                normal += across * across.transpose() * (belief * moves_px.powi(2));
-                right_side += across * (belief * moves_px * wider_px);
-            }
-            radii = normal.try_inverse().map_or(Vector2::zeros(), |inverse| inverse * right_side);
+    /// The direction in which shadows fall, a unit vector along x and y of the left camera. `None` where nothing tells.
+    pub fn falls(&mut self) -> Option<Vector2<f64>> {
+        let Self { places, widths, .. } = self;
+        let asked = || places.iter().step_by(places.len().div_ceil(ASKED_MAX).max(1));
+        widths.clear();
+        widths.extend(asked().map(|place| place.widths));
+        if widths.is_empty() {
+            return None;
         }
-        radii
+        let bare = (BARE_SHARE * widths.len() as f64) as usize;
+        let bare = *widths.select_nth_unstable_by(bare, f64::total_cmp).1;
+        let unlike = |radii: &Vector2<f64>| -> f64 {
+            let of_place = |place: &Place| {
+                let lower = place.across.dot(radii);
+                // What is much wider in one picture is so for a neighbour, or for a shadow far below; that tells no more.
+                let wider_px = place.wider_px.clamp(-place.moves_px.abs(), place.moves_px.abs());
+                let wider = (place.widths - bare).clamp(0.0, WIDER_WIDTHS_MAX);
+                doubt((wider_px - place.moves_px * lower) / NOISE_PX)
+                    + doubt((wider - WIDTHS_PER_RADIUS * lower.abs()) / NOISE_WIDTHS)
+            };
+            asked().map(of_place).sum()
+        };
+        let directions = (0..DIRECTIONS).map(|k| {
+            let (sin, cos) = (std::f64::consts::TAU * k as f64 / DIRECTIONS as f64).sin_cos();
+            Vector2::new(cos, sin)
+        });
+        let with = |falls: Vector2<f64>| {
+            LOWER_RADII.map(|radii| unlike(&(radii * falls))).into_iter().fold(f64::INFINITY, f64::min)
+        };
+        let best = directions.map(|falls| (falls, with(falls))).min_by(|a, b| a.1.total_cmp(&b.1));
+        best.filter(|(_, unlike_with)| *unlike_with < unlike(&Vector2::zeros())).map(|(falls, _)| falls)
+    }
+}
+
+/// What is far off counts as 1, however far.
+fn doubt(off: f64) -> f64 {
+    off * off / (1.0 + off * off)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn place(angle: f64, wider_radii: f64) -> Place {
+        let across = Vector2::new(angle.cos(), angle.sin());
+        let moves_px = 0.55 * across.x;
+        let widths = 1.0 + WIDTHS_PER_RADIUS * wider_radii.abs();
+        Place { across, moves_px, wider_px: wider_radii * moves_px, widths }
+    }
+
+    #[test]
+    fn most_wires_tell_where_shadows_fall_and_neighbours_do_not() {
+        let mut side = ShadowSide::new(Level::Plain);
+        assert_eq!(side.falls(), None);
+        let truth = Vector2::new(-0.6, 0.8);
+        let wires = |lower_radii: f64| {
+            (0..12).map(|k| 0.5 * f64::from(k)).flat_map(move |angle| {
+                let lower = lower_radii * Vector2::new(angle.cos(), angle.sin()).dot(&truth);
+                (0..10).map(move |_| place(angle, lower))
+            })
+        };
+        side.places.extend(wires(0.8));
+        let found = side.falls().unwrap();
+        assert!(found.angle(&truth).to_degrees() < 10.0, "{found}");
+        // Of two rods the other picture shows more of a neighbour.
+        side.places.extend((0..20).map(|k| place(0.3 * f64::from(k % 2), 4.0)));
+        let found = side.falls().unwrap();
+        assert!(found.angle(&truth).to_degrees() < 20.0, "{found}");
+        side.clear();
+        side.places.extend(wires(0.0));
+        assert_eq!(side.falls(), None);
     }
 }

@@ -30,6 +30,7 @@ mod explanations;
 mod found;
 mod interrupted;
 mod lamp;
+mod lighting;
 mod outcome;
 mod params;
 mod prepared;
@@ -61,12 +62,13 @@ use crate::vision::binarize;
 use crate::vision::ridge::{self, Ridges};
 
 use explanations::{Explanations, Scene};
+use lighting::Lighting;
 pub use params::Params;
 use prepared::Prepared;
 pub use result::{Doubt, FoundNode, FoundPart, NoPick, Recognition, Refusal, Seen, Side, StageTimes, Turned};
 use unexplained::{is_claimed, unexplained_px};
 use unknown::Unknown;
-use views::{DARK_OUTLINE_256, Lighting, lit, outline_256, views};
+use views::{lit, views};
 use votes::Votes;
 
 /// Shares of the time that is left each time, in each go at a pair: for the search, for looking at what it found, which takes about as long, and
@@ -77,8 +79,8 @@ const COMPETE_SHARE: f64 = 0.5;
 /// Unexplained skeleton as long as this share of what must be seen of a part is reason to look for one: where it lies along
 /// another, their wires have but one skeleton.
 const UNEXPLAINED_SHARE: f64 = 0.5;
-/// Most hypotheses that are asked where shadows fall.
-const SHADOWS_MAX: usize = 64;
+/// How many times as thick as the thickest part dark wire is seen at most: shadow as dark as the wire makes it look twice as wide.
+const DARK_THICKNESS_FACTOR_MAX: f64 = 2.6;
 /// Most hypotheses of a pair.
 const HYPOTHESES_MAX: usize = 16384;
 
@@ -434,31 +436,6 @@ impl Recognizer {
         })
     }
 
-    /// Finds out at which level outlines are to be taken, and where the shadows of dark parts fall.
-    fn judge_lighting(&mut self, pair: &FramePair) {
-        let Self { pictures, scales, thickness_mm, parts, search, pool, params, gloss, shadow_side, .. } =
-            self;
-        let rig = rig_of(scales, pictures);
-        self.lighting = Lighting::default();
-        let dark = params.binarize.iter().any(|b| b.inverted);
-        if dark {
-            self.lighting.outline_256 = DARK_OUTLINE_256;
-        }
-        let Some(views) = views(pictures, rig, pair, params, self.lighting) else { return };
-        if dark {
-            shadow_side.clear();
-            for hypothesis in pool.iter().take(SHADOWS_MAX) {
-                let model = &parts[hypothesis.part].pose_model;
-                shadow_side.look_at(model, &hypothesis.left_from_part, &views);
-            }
-            self.lighting.shadow_radii = shadow_side.radii();
-        } else {
-            let graphs = pictures.each_ref().map(Picture::graph);
-            let nodes = search.near_nodes().map(|(_, node)| node);
-            self.lighting.outline_256 = outline_256(gloss, &views, graphs, nodes, thickness_mm[0]);
-        }
-    }
-
     /// Holds the pool's hypotheses against both pictures, for the first time or `again`; says whether all of them.
     fn explain(&mut self, pair: &FramePair, again: bool, looking: &mut Watch) -> bool {
         let rig = rig_of(&self.scales, &self.pictures);
@@ -498,9 +475,11 @@ fn depth_mm(rig: &Rig, thickest_mm: f64) -> [f64; 2] {
     [rig.right_from_left.translation.vector.norm() / 2.0, focal_px * thickest_mm]
 }
 
+/// The gate as rig and light want it: dark wire with its shadow is seen thicker.
 fn gate(params: &Params, depth_mm: [f64; 2]) -> GateParams {
     let dark = params.binarize.iter().any(|b| b.inverted);
-    let thickness_factor_max = if dark { 2.6 } else { params.gate.thickness_factor_max };
+    let thickness_factor_max =
+        if dark { DARK_THICKNESS_FACTOR_MAX } else { params.gate.thickness_factor_max };
     GateParams { depth_mm, thickness_factor_max, ..params.gate }
 }
 

@@ -19,9 +19,8 @@ const BARE_SEARCH_PX: f64 = 1.5;
 /// See [`EndSighting::mask_beyond_px`].
 const HIDDEN_PX_MAX: u32 = 12;
 
-/// How far beyond an end of dark wire its shadow is taken for wire, in radii, for each radius that the shadow lies lower; a
-/// standard deviation.
-const END_RADII_PER_RADIUS: f64 = 0.7;
+/// How far beyond an end of dark wire its shadow is taken for wire, in radii, where it falls straight on; a standard deviation.
+const END_SHADOW_RADII: f64 = 0.84;
 /// So many of these standard deviations may be shadow.
 const SHADOW_SIGMAS: f64 = 2.0;
 
@@ -128,8 +127,9 @@ impl Refine {
                 let sees_face = (faces - point).dot(&outward) > 0.0;
                 let (lift_radii, lift_sigma) = params.end_lift(lean_sin, sees_face);
                 let aim = aim(model.radius_mm, &(point + raised * lift_radii), &outward, view)?;
-                let shadow_radii = view.profiler.shadow.map_or(0.0, |shadow| shadow.dot(&aim.along).max(0.0));
-                let shadow_px = END_RADII_PER_RADIUS * shadow_radii * aim.half_width_px;
+                let shadow_onward =
+                    view.profiler.shadow.map_or(0.0, |shadow| shadow.dot(&aim.along).max(0.0));
+                let shadow_px = END_SHADOW_RADII * shadow_onward * aim.half_width_px;
                 Some(EndSighting {
                     beyond_px: view.profiler.end(aim.px, aim.along, aim.half_width_px, search_px, how),
                     expected_px: aim.px,
@@ -188,5 +188,14 @@ mod tests {
     fn only_close_to_its_end_must_a_dark_wire_be_bare_of_shadow() {
         assert!(is_bare(true, 8) && !is_bare(true, 4));
         assert!(is_bare(false, 10) && !is_bare(false, 8));
+    }
+
+    #[test]
+    fn an_end_that_is_seen_too_far_on_where_its_shadow_lies_may_be_where_it_should() {
+        let off = |beyond_px: f64, shadow_px: f64| {
+            EndSighting { beyond_px: Some(beyond_px), shadow_px, ..EndSighting::default() }.off_px().unwrap()
+        };
+        assert_eq!((off(3.0, 0.0), off(3.0, 1.0), off(1.5, 1.0)), (3.0, 1.0, 0.0));
+        assert_eq!((off(-3.0, 0.0), off(-3.0, 1.0)), (3.0, 3.0));
     }
 }

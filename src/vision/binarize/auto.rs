@@ -15,8 +15,8 @@
 //! one. Before that, pixels that are clear against most of the background are looked for between the samples: the last
 //! part in a bin may be less of the picture than they can tell. Without any of these nothing is object.
 //! Else the threshold lies a third of the way from background to parts, and a quarter of the way near samples that
-//! are beyond half way: so dim ends of a part are kept while the bin's rim, dim all along, is not. Between the
-//! samples thresholds are interpolated.
+//! are beyond half way: so dim ends of a part are kept while the bin's rim, dim all along, is not. Of dark parts it lies about half
+//! way, for their shadows are no less dark. Between the samples thresholds are interpolated.
 
 mod lone;
 
@@ -54,10 +54,10 @@ const BRIGHTEST_MAX: f32 = 1.8;
 const SIGMAS: f32 = 6.0;
 /// Least standard deviation of the background's contrast: half of a step.
 const SIGMA_MIN: f32 = 0.03;
-/// Of the way from background to parts: threshold near strong samples, elsewhere, and what is strong.
-const NEAR: f32 = 0.25;
-const ELSEWHERE: f32 = 1.0 / 3.0;
-const STRONG: f32 = 0.5;
+/// Of the way from the background's light to that of the parts: threshold near strong samples, elsewhere, and what is strong. Dark
+/// parts are farther, for shadows lie between.
+const WAYS: [f32; 3] = [0.25, 1.0 / 3.0, 0.5];
+const DARK_WAYS: [f32; 3] = [0.4, 0.5, 2.0 / 3.0];
 
 /// Memory for finding thresholds.
 #[derive(Clone, Debug)]
@@ -107,9 +107,13 @@ struct Contrasts {
 impl Contrasts {
     /// Between the background and parts of this contrast, and no less than the least.
     #[inline(always)]
-    fn between(parts: f32, least: f32) -> Self {
-        let way = |share: f32| (1.0 + share * (parts - 1.0)).max(least);
-        Self { near: way(NEAR), elsewhere: way(ELSEWHERE), strong: way(STRONG) }
+    fn between<const DARK: bool>(parts: f32, least: f32) -> Self {
+        let [near, elsewhere, strong] = if DARK { DARK_WAYS } else { WAYS }.map(|way| {
+            let contrast =
+                if DARK { 1.0 / (1.0 - way * (1.0 - 1.0 / parts)) } else { 1.0 + way * (parts - 1.0) };
+            contrast.max(least)
+        });
+        Self { near, elsewhere, strong }
     }
 }
 
@@ -251,7 +255,7 @@ fn thresholds_for<const DARK: bool>(
     if grid.inside == 0 {
         return false;
     }
-    let found = match grid.contrasts(CONTRAST_MIN) {
+    let found = match grid.contrasts::<DARK>(CONTRAST_MIN) {
         Some(found) => Some(found),
         None => lone::find::<DARK>(grid, row, luma_row),
     };
@@ -262,7 +266,7 @@ fn thresholds_for<const DARK: bool>(
             fill_narrow::<DARK>(grid);
             let least = FAINT_MIN.max(grid.faint_contrast::<DARK>());
             contrasts::<DARK>(grid);
-            let Some(found) = grid.contrasts(least) else { return false };
+            let Some(found) = grid.contrasts::<DARK>(least) else { return false };
             found
         }
     };
@@ -427,7 +431,7 @@ impl Grid {
     /// Thresholds from the histogram of the contrasts inside the region, which has some samples; `None` where no parts stand
     /// out by `contrast_min`.
     #[inline(always)]
-    fn contrasts(&self, contrast_min: f32) -> Option<Contrasts> {
+    fn contrasts<const DARK: bool>(&self, contrast_min: f32) -> Option<Contrasts> {
         let contrast = &self.contrast[..];
         let parts = self.contrast_at(self.inside - 1 - self.inside / SAMPLES_PER_PART);
         let least = self.least_contrast();
@@ -438,7 +442,7 @@ impl Grid {
         let dimmer = contrast.iter().filter(|&&c| f32::from(c) < standing_out * CONTRAST_STEPS).count();
         let outside = contrast.len() - self.inside;
         let usual = self.contrast_at(dimmer - outside + (contrast.len() - dimmer) / 2);
-        Some(Contrasts::between(parts.min(1.0 + BRIGHTEST_MAX * (usual - 1.0)), least))
+        Some(Contrasts::between::<DARK>(parts.min(1.0 + BRIGHTEST_MAX * (usual - 1.0)), least))
     }
 }
 

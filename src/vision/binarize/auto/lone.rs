@@ -64,5 +64,5 @@ pub(super) fn find<const DARK: bool>(
     for background in &mut grid.background {
         *background = behind(*background);
     }
-    Some(Contrasts::between(parts, least))
+    Some(Contrasts::between::<DARK>(parts, least))
 }
