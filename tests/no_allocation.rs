@@ -4,9 +4,9 @@ use nalgebra::Vector3;
 use pickcell::frame::{Frame, FramePair, PixelFormat};
 use pickcell::level::Level;
 use pickcell::part::Part;
-use pickcell::recognize::{Recognition, Recognizer};
+use pickcell::recognize::{self, Recognition, Recognizer};
 use pickcell::rig::{CameraModel, Rig};
-use pickcell::session::Session;
+use pickcell::session::{RecordedPair, Session};
 use pickcell::time::Budget;
 use pickcell::vision::binarize::{Binarize, ColourRange, Params};
 use pickcell::vision::bits::BitImage;
@@ -174,10 +174,21 @@ fn thin_and_graph_allocate_nothing_after_one_run() {
     }
 }
 
+/// The first pairs of the recorded session, with what is made of their pictures.
+fn pairs_with(change: impl Fn(&Frame) -> Frame) -> Vec<FramePair> {
+    let replay = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("replay");
+    let session = Session::open(&replay.join("conveyor")).unwrap();
+    let pair = |pair: &RecordedPair| {
+        let [Some(left), Some(right)] = &pair.pictures else { panic!("a whole pair") };
+        let [left, right] = [left, right].map(|picture| change(&picture.read_raw().unwrap()));
+        FramePair { left, right }
+    };
+    session.pairs[..3].iter().map(pair).collect()
+}
+
 #[test]
 fn pictures_of_thick_wire_are_halved_and_a_turned_camera_allowed_for_without_an_allocation() {
     let replay = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("replay");
-    let session = Session::open(&replay.join("conveyor")).unwrap();
     let Rig { left, right, right_from_left } = Rig::read(replay.join("conveyor/calibration.yaml")).unwrap();
     let twice = |c: CameraModel| CameraModel {
         width: 2 * c.width,
@@ -192,23 +203,38 @@ fn pictures_of_thick_wire_are_halved_and_a_turned_camera_allowed_for_without_an_
     let rig = rig.with_right_turned(&Vector3::new(4.0 / right.fy, 0.0, 0.0));
     let rod = Part::read(replay.join("parts/rod-90.toml")).unwrap();
     let mut recognizer = Recognizer::new(Default::default(), rig, vec![rod]).unwrap();
-    let pairs: Vec<FramePair> = session.pairs[..3]
-        .iter()
-        .map(|pair| {
-            let [Some(left), Some(right)] = &pair.pictures else { panic!("a whole pair") };
-            let [left, right] = [left, right].map(|picture| {
-                let small = picture.read_raw().unwrap();
-                let pixels = (0..960 * 1280).flat_map(|at| small.rgb(at % 1280 / 2, at / 1280 / 2));
-                Frame::from_rgb(1280, 960, pixels.collect())
-            });
-            FramePair { left, right }
-        })
-        .collect();
+    let pairs = pairs_with(|small| {
+        let pixels = (0..960 * 1280).flat_map(|at| small.rgb(at % 1280 / 2, at / 1280 / 2));
+        Frame::from_rgb(1280, 960, pixels.collect())
+    });
     let mut found = Recognition::default();
     let mut run = |pair: &FramePair| {
         recognizer.run(pair, Budget::Iterations(100_000), 1, &mut found).unwrap();
         assert_eq!(recognizer.pictures()[0].halvings(), 1);
         assert!(found.turned.is_some_and(|turned| turned.is_allowed_for()));
+        found.parts.len()
+    };
+    run(&pairs[0]);
+    let mut parts = 0;
+    assert_eq!(allocations_of(|| parts = pairs.iter().map(&mut run).sum()), 0);
+    assert!(parts > 20, "{parts}");
+}
+
+#[test]
+fn dark_parts_are_recognised_without_an_allocation() {
+    let replay = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("replay");
+    let rig = Rig::read(replay.join("conveyor/calibration.yaml")).unwrap();
+    let rod = Part::read(replay.join("parts/rod-90.toml")).unwrap();
+    let mut params = recognize::Params::default();
+    params.binarize.iter_mut().for_each(|range| range.inverted = true);
+    let mut recognizer = Recognizer::new(params, rig, vec![rod]).unwrap();
+    let pairs = pairs_with(|bright| {
+        let pixels = (0..480 * 640).flat_map(|at| bright.rgb(at % 640, at / 640));
+        Frame::from_rgb(640, 480, pixels.map(|v| 255 - v).collect())
+    });
+    let mut found = Recognition::default();
+    let mut run = |pair: &FramePair| {
+        recognizer.run(pair, Budget::Iterations(100_000), 1, &mut found).unwrap();
         found.parts.len()
     };
     run(&pairs[0]);

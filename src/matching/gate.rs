@@ -41,7 +41,7 @@ pub struct GateParams {
     pub only_min: usize,
     /// By what factor the depth of others may be less or more than theirs.
     pub depth_factor: f64,
-    /// By what factor the thickness seen may differ from the part's.
+    /// By what factor the thickness seen may differ from the part's; of dark parts the recogniser allows more.
     pub thickness_factor_max: f64,
     /// Most stereo nodes.
     pub nodes_max: usize,

@@ -137,10 +137,11 @@ impl Outlines {
             let [is_low, is_high] = falls.each_ref().map(|falls| falls.below[l] != NONE);
             let (mut low_px, mut high_px) = (is_low.then_some(low_px[l]), is_high.then_some(high_px[l]));
             let mut is_off_shadow = false;
-            if let Some(shadow) = profilers[self.side[l]].shadow {
+            let profiler = profilers[self.side[l]];
+            if profiler.shadow.is_some() {
                 let steepness = [low.steepness[l], high.steepness[l]];
                 let across = Vector2::new(self.across[0][l], self.across[1][l]);
-                let shadow_above = shadow.dot(&across) * reading.cos[l].signum();
+                let shadow_above = profiler.shadow_along(&across) * reading.cos[l].signum();
                 let width_px = 2.0 * self.half_width_px[l];
                 is_off_shadow = without_shadow(steepness, shadow_above, &mut low_px, &mut high_px, width_px);
             }

@@ -44,7 +44,7 @@ pub struct Section {
     pub low_px: Option<f64>,
     /// The outline on the positive side.
     pub high_px: Option<f64>,
-    /// Whether one of them was a shadow's, and is where the wire's must be.
+    /// Whether one of them was a shadow's, on a side that is known, and is where the wire's must be.
     pub is_off_shadow: bool,
 }
 
@@ -96,7 +96,7 @@ impl<'a> Profiler<'a> {
         Self { outline_256, ..self }
     }
 
-    /// The same, with the shadow taken off that joins wire and falls this way in the picture, a unit vector, see [`ShadowSide::falls`];
+    /// The same, with the shadow taken off that joins wire and falls this way in the picture, at most 1 long, see [`ShadowSide::falls`];
     /// nought where it is not known which way, as else of dark wire. `None`: outlines are taken as they are seen.
     ///
     /// [`ShadowSide::falls`]: super::shadow::ShadowSide::falls
@@ -104,10 +104,10 @@ impl<'a> Profiler<'a> {
         Self { shadow, ..self }
     }
 
-    /// How much of the way across a wire its shadow falls: 1 straight to its positive side, -1 to the other, nought along it, where
-    /// that is not known, and of bright wire.
-    pub(super) fn shadow_above(&self, across: &Vector2<f64>) -> f64 {
-        self.shadow.map_or(0.0, |shadow| shadow.dot(across))
+    /// How much of its way a shadow falls along a direction in the picture, -1 to 1; across a wire, to its positive side. Nought
+    /// where that is not known, and of bright wire.
+    pub(super) fn shadow_along(&self, direction: &Vector2<f64>) -> f64 {
+        self.shadow.map_or(0.0, |shadow| shadow.dot(direction))
     }
 
     /// Whether outlines are taken lower than half way.
@@ -174,9 +174,9 @@ impl<'a> Profiler<'a> {
         let to_px = |at: f64| (first + at - centre) * scale;
         let (mut low, mut high) = (fall.low.map(|c| to_px(c.at)), fall.high.map(|c| to_px(c.at)));
         let mut is_off_shadow = false;
-        if let Some(shadow) = self.shadow {
+        if self.shadow.is_some() {
             let steepness = [fall.low, fall.high].map(|c| c.map_or(0.0, |c| c.steepness));
-            let shadow_above = shadow.dot(&across) * cos.signum();
+            let shadow_above = self.shadow_along(&across) * cos.signum();
             is_off_shadow = without_shadow(steepness, shadow_above, &mut low, &mut high, 2.0 * half_width_px);
         }
         let (low_px, high_px) = if cos < 0.0 { (high.map(|h| -h), low.map(|l| -l)) } else { (low, high) };
@@ -269,14 +269,15 @@ struct Crossing {
     steepness: f64,
 }
 
-/// Whether it is known on which side of wire its shadow lies, see [`Profiler::shadow_above`].
+/// Whether it is known on which side of wire its shadow lies, see [`Profiler::shadow_along`].
 pub(super) fn is_sure(shadow_above: f64) -> bool {
     shadow_above.abs() >= SURE_ACROSS
 }
 
 /// Takes the shadow off that joins a dark wire on a light floor: where the outlines are farther apart than the wire is
-/// wide, one of them is that of the shadow, by what is known of where it falls (`shadow_above`: see [`Profiler::shadow_above`]),
-/// and by the steepness of both, of which the flatter is likely the shadow's. Says whether it was taken off.
+/// wide, one of them is that of the shadow, by what is known of where it falls (`shadow_above`: see [`Profiler::shadow_along`]),
+/// and by the steepness of both, of which the flatter is likely the shadow's. Says whether one was taken off of which the side is
+/// known: then the other is the wire's own, and not what shadows on both sides have made of it.
 pub(super) fn without_shadow(
     [low_steepness, high_steepness]: [f64; 2],
     shadow_above: f64,

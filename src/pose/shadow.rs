@@ -28,7 +28,7 @@
 //! # Ok::<(), pickcell::part::PartError>(())
 //! ```
 
-use nalgebra::{Isometry3, Vector2};
+use nalgebra::{Isometry3, Matrix2, Vector2};
 
 use super::aim::aim;
 use super::model::PoseModel;
@@ -53,6 +53,10 @@ const BARE_SHARE: f64 = 0.15;
 /// Directions that are tried, all around, and how much lower shadows may lie, in radii.
 const DIRECTIONS: usize = 36;
 const LOWER_RADII: [f64; 3] = [0.3, 0.6, 1.0];
+/// By how much a direction must explain a place better than no shadow does, in the mean, where 1 is all there is to explain of one
+/// cue; and how much of the places' squared directions must lie across a wire for that to be told.
+const LIKER_MIN: f64 = 0.02;
+const TOLD_MIN: f64 = 0.1;
 /// Places that are collected, and that are asked.
 const PLACES_MAX: usize = 2048;
 const ASKED_MAX: usize = 256;
@@ -94,7 +98,7 @@ impl ShadowSide {
     /// Adds what is seen of a part in about this pose.
     pub fn look_at(&mut self, model: &PoseModel, left_from_part: &Isometry3<f64>, views: &[View; 2]) {
         let bare = views.each_ref().map(|view| view.profiler.with_shadow(None));
-        let mut signs = [(Vector2::zeros(), 0.0, 0.0); LINES / 2];
+        let mut signs = [(Vector2::zeros(), 0.0, [0.0; 2]); LINES / 2];
         let mut count = 0;
         self.outlines.clear();
         let stations = || model.stations.iter().filter(|station| !station.at_joint);
@@ -105,7 +109,7 @@ impl ShadowSide {
             let (Some(left), Some(right)) = (left, right) else { continue };
             let lower = point.coords.normalize() * model.radius_mm;
             let moves_px = (right.jacobian * lower).dot(&right.across);
-            signs[count] = (left.across, moves_px, left.half_width_px);
+            signs[count] = (left.across, moves_px, [left.half_width_px, right.half_width_px]);
             count += 1;
             for (side, aim) in [left, right].iter().enumerate() {
                 self.outlines.push(side, aim.px, aim.across, aim.half_width_px);
@@ -116,21 +120,22 @@ impl ShadowSide {
         let widths_px: arrayvec::ArrayVec<Option<f64>, LINES> = widths_px.collect();
         for ((across, moves_px, half_width_px), widths_px) in signs.iter().zip(widths_px.chunks_exact(2)) {
             let (Some(left_px), Some(right_px)) = (widths_px[0], widths_px[1]) else { continue };
-            let silhouette_px = 2.0 * half_width_px;
-            let is_wire = |px: f64| (WIDTHS[0]..WIDTHS[1]).contains(&(px / silhouette_px));
-            let wider_px = right_px - left_px;
-            if is_wire(left_px)
-                && is_wire(right_px)
-                && wider_px.abs() < DIFFERS_MAX * silhouette_px
+            let [left, right] = [left_px / (2.0 * half_width_px[0]), right_px / (2.0 * half_width_px[1])];
+            let is_wire = |widths: f64| (WIDTHS[0]..WIDTHS[1]).contains(&widths);
+            if is_wire(left)
+                && is_wire(right)
+                && (right - left).abs() < DIFFERS_MAX
                 && self.places.len() < PLACES_MAX
             {
-                let widths = f64::midpoint(left_px, right_px) / silhouette_px;
+                let wider_px = (right - left) * 2.0 * half_width_px[1];
+                let widths = f64::midpoint(left, right);
                 self.places.push(Place { across: *across, moves_px: *moves_px, wider_px, widths });
             }
         }
     }
 
-    /// The direction in which shadows fall, a unit vector along x and y of the left camera. `None` where nothing tells.
+    /// The direction in which shadows fall, along x and y of the left camera, at most 1 long: less where the wires tell it only
+    /// across themselves, as parallel ones do. `None` where nothing tells.
     pub fn falls(&mut self) -> Option<Vector2<f64>> {
         let Self { places, widths, .. } = self;
         let asked = || places.iter().step_by(places.len().div_ceil(ASKED_MAX).max(1));
@@ -139,13 +144,14 @@ impl ShadowSide {
         if widths.is_empty() {
             return None;
         }
-        let bare = (BARE_SHARE * widths.len() as f64) as usize;
+        let count = widths.len() as f64;
+        let bare = (BARE_SHARE * count) as usize;
         let bare = *widths.select_nth_unstable_by(bare, f64::total_cmp).1;
         let unlike = |radii: &Vector2<f64>| -> f64 {
             let of_place = |place: &Place| {
                 let lower = place.across.dot(radii);
                 // What is much wider in one picture is so for a neighbour, or for a shadow far below; that tells no more.
-                let wider_px = place.wider_px.clamp(-place.moves_px.abs(), place.moves_px.abs());
+                let wider_px = place.wider_px.min(place.moves_px.abs()).max(-place.moves_px.abs());
                 let wider = (place.widths - bare).clamp(0.0, WIDER_WIDTHS_MAX);
                 doubt((wider_px - place.moves_px * lower) / NOISE_PX)
                     + doubt((wider - WIDTHS_PER_RADIUS * lower.abs()) / NOISE_WIDTHS)
@@ -160,7 +166,15 @@ impl ShadowSide {
             LOWER_RADII.map(|radii| unlike(&(radii * falls))).into_iter().fold(f64::INFINITY, f64::min)
         };
         let best = directions.map(|falls| (falls, with(falls))).min_by(|a, b| a.1.total_cmp(&b.1));
-        best.filter(|(_, unlike_with)| *unlike_with < unlike(&Vector2::zeros())).map(|(falls, _)| falls)
+        let most = unlike(&Vector2::zeros()) - LIKER_MIN * count;
+        let (falls, _) = best.filter(|(_, unlike_with)| *unlike_with < most)?;
+        let told = asked().map(|place| place.across * place.across.transpose()).sum::<Matrix2<f64>>();
+        let told = (told / count).symmetric_eigen();
+        let along = |k: usize| {
+            let axis = told.eigenvectors.column(k);
+            axis * (axis.dot(&falls) * (told.eigenvalues[k] / TOLD_MIN).min(1.0))
+        };
+        Some(along(0) + along(1))
     }
 }
 
@@ -171,6 +185,8 @@ fn doubt(off: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use rand::{RngExt, SeedableRng};
+
     use super::*;
 
     fn place(angle: f64, wider_radii: f64) -> Place {
@@ -201,5 +217,25 @@ mod tests {
         side.clear();
         side.places.extend(wires(0.0));
         assert_eq!(side.falls(), None);
+    }
+
+    #[test]
+    fn one_wire_tells_nothing_along_itself() {
+        let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(3);
+        for lower_radii in [0.0, 0.9] {
+            let mut side = ShadowSide::new(Level::Plain);
+            for k in 0..24 {
+                let angle = 0.25 * f64::from(k);
+                side.clear();
+                side.places.extend((0..16).map(|_| {
+                    let mut place = place(angle, lower_radii);
+                    place.widths += random.random_range(-0.05..0.05);
+                    place.wider_px += random.random_range(-0.1..0.1);
+                    place
+                }));
+                let along = Vector2::new(-angle.sin(), angle.cos());
+                assert!(side.falls().is_none_or(|falls| falls.dot(&along).abs() < 0.1), "{lower_radii} {k}");
+            }
+        }
     }
 }

@@ -93,11 +93,12 @@ pub struct Verdict {
     pub ends_shown: u32,
     /// Free ends that both pictures show.
     pub ends_in_both: u32,
-    /// Second largest distance of a seen end from the expected one, in pixels: one alone may belong to a neighbour.
+    /// Second largest distance of a seen end from the expected one, in pixels, but for shadow behind it, see
+    /// [`EndSighting::off_px`]: one alone may belong to a neighbour.
     pub end_offset_px: f64,
     /// The largest such distance.
     pub end_farthest_px: f64,
-    /// Sum of the distances of all seen ends from the expected ones, in pixels.
+    /// Sum of such distances of all seen ends, in pixels.
     pub ends_off_px: f64,
     /// Sum over hidden ends of how far the mask goes on beyond them, in pixels.
     pub hidden_px: f64,
@@ -202,7 +203,11 @@ pub fn verify(
             match piece[side].sight {
                 Sight::Clear => {
                     shares[side][0] += share;
-                    if let Some((_, width_px)) = piece[side].seen_px {
+                    let section = sightings[side].as_ref().and_then(|sighting| sighting.section);
+                    // Off a shadow, wire is as wide as it should be, whatever it is.
+                    if let Some((_, width_px)) = piece[side].seen_px
+                        && section.is_some_and(|section| !section.is_off_shadow)
+                    {
                         widths += width_px / (2.0 * piece[side].half_width_px);
                         clear += 1.0;
                     }

@@ -79,7 +79,8 @@ const COMPETE_SHARE: f64 = 0.5;
 /// Unexplained skeleton as long as this share of what must be seen of a part is reason to look for one: where it lies along
 /// another, their wires have but one skeleton.
 const UNEXPLAINED_SHARE: f64 = 0.5;
-/// How many times as thick as the thickest part dark wire is seen at most: shadow as dark as the wire makes it look twice as wide.
+/// By what factor at least the thickness of dark wire may differ from the part's: shadow as dark as the wire makes it look twice as
+/// thick and more.
 const DARK_THICKNESS_FACTOR_MAX: f64 = 2.6;
 /// Most hypotheses of a pair.
 const HYPOTHESES_MAX: usize = 16384;
@@ -475,11 +476,11 @@ fn depth_mm(rig: &Rig, thickest_mm: f64) -> [f64; 2] {
     [rig.right_from_left.translation.vector.norm() / 2.0, focal_px * thickest_mm]
 }
 
-/// The gate as rig and light want it: dark wire with its shadow is seen thicker.
+/// The gate as rig and light want it.
 fn gate(params: &Params, depth_mm: [f64; 2]) -> GateParams {
     let dark = params.binarize.iter().any(|b| b.inverted);
-    let thickness_factor_max =
-        if dark { DARK_THICKNESS_FACTOR_MAX } else { params.gate.thickness_factor_max };
+    let least = if dark { DARK_THICKNESS_FACTOR_MAX } else { 0.0 };
+    let thickness_factor_max = params.gate.thickness_factor_max.max(least);
     GateParams { depth_mm, thickness_factor_max, ..params.gate }
 }
 

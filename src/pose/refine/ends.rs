@@ -49,7 +49,7 @@ impl EndSighting {
     /// How far it is seen from where it is expected, in pixels, but for shadow behind it.
     pub fn off_px(&self) -> Option<f64> {
         let beyond_px = self.beyond_px?;
-        let shadow_px = beyond_px.clamp(0.0, SHADOW_SIGMAS * self.shadow_px);
+        let shadow_px = beyond_px.min(SHADOW_SIGMAS * self.shadow_px).max(0.0);
         Some((beyond_px - shadow_px).abs())
     }
 
@@ -127,8 +127,7 @@ impl Refine {
                 let sees_face = (faces - point).dot(&outward) > 0.0;
                 let (lift_radii, lift_sigma) = params.end_lift(lean_sin, sees_face);
                 let aim = aim(model.radius_mm, &(point + raised * lift_radii), &outward, view)?;
-                let shadow_onward =
-                    view.profiler.shadow.map_or(0.0, |shadow| shadow.dot(&aim.along).max(0.0));
+                let shadow_onward = view.profiler.shadow_along(&aim.along).max(0.0);
                 let shadow_px = END_SHADOW_RADII * shadow_onward * aim.half_width_px;
                 Some(EndSighting {
                     beyond_px: view.profiler.end(aim.px, aim.along, aim.half_width_px, search_px, how),

@@ -68,7 +68,7 @@ pub(super) fn measure_ends(
                     index,
                     radius_px: end.half_width_px,
                     lift_px: end.lift_px,
-                    face_px: end.face_px,
+                    face_px: end.face_px.hypot(end.shadow_px),
                 },
             );
         }

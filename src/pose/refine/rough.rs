@@ -86,7 +86,7 @@ impl Refine {
         let stations = stations.filter(|s| !s.at_joint);
         each_expected(&sweep, stations, views, |_, side, there| {
             let View { mask, profiler, .. } = &views[side];
-            let shadow_above = profiler.shadow_above(&there.across);
+            let shadow_above = profiler.shadow_along(&there.across);
             let widest_px = 3.2 * there.half_width_px + 1.0;
             let run = mask_run(mask, there.px, there.across, search_px, widest_px);
             let Some((middle, width)) = run.filter(|(_, width)| *width <= widest_px) else {
@@ -95,7 +95,7 @@ impl Refine {
             // What is wider is the shadow beside it.
             let shadow_px =
                 if is_sure(shadow_above) { (width - 2.0 * there.half_width_px).max(0.0) } else { 0.0 };
-            let middle = middle - shadow_px / 2.0 * shadow_above.signum();
+            let middle = middle - (shadow_px / 2.0).copysign(shadow_above);
             equations.push(&Measurement {
                 residual_px: middle,
                 gradient: there.gradient,

@@ -15,8 +15,7 @@
 //! one. Before that, pixels that are clear against most of the background are looked for between the samples: the last
 //! part in a bin may be less of the picture than they can tell. Without any of these nothing is object.
 //! Else the threshold lies a third of the way from background to parts, and a quarter of the way near samples that
-//! are beyond half way: so dim ends of a part are kept while the bin's rim, dim all along, is not. Of dark parts it lies about half
-//! way, for their shadows are no less dark. Between the samples thresholds are interpolated.
+//! are beyond half way: so dim ends of a part are kept while the bin's rim, dim all along, is not. Of dark parts, whose shadows are dark, too, it lies half way, a little less near such samples. Between the samples thresholds are interpolated.
 
 mod lone;
 
@@ -54,8 +53,8 @@ const BRIGHTEST_MAX: f32 = 1.8;
 const SIGMAS: f32 = 6.0;
 /// Least standard deviation of the background's contrast: half of a step.
 const SIGMA_MIN: f32 = 0.03;
-/// Of the way from the background's light to that of the parts: threshold near strong samples, elsewhere, and what is strong. Dark
-/// parts are farther, for shadows lie between.
+/// Of the way from the background's light to that of the parts: threshold near strong samples, elsewhere, and what is strong. Between
+/// dark parts and a light floor lie their shadows; beyond half way a bright line along dark wire would be lost.
 const WAYS: [f32; 3] = [0.25, 1.0 / 3.0, 0.5];
 const DARK_WAYS: [f32; 3] = [0.4, 0.5, 2.0 / 3.0];
 
