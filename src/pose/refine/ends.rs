@@ -36,9 +36,9 @@ pub struct EndSighting {
     /// Length of mask from the expected place outwards where the end is hidden, up to 12.
     pub mask_beyond_px: f64,
     pub(super) half_width_px: f64,
-    /// Standard deviation of what the face of the end is taken for.
+    /// Standard deviation of what the face of the end, and the shadow behind it, is taken for.
     pub(super) face_px: f64,
-    /// That of how much of its shadow behind it is taken for wire.
+    /// That of the shadow alone.
     pub(super) shadow_px: f64,
     /// How far it moves along when the wire is raised by a radius.
     pub(super) lift_px: f64,
@@ -127,6 +127,7 @@ impl Refine {
                 let sees_face = (faces - point).dot(&outward) > 0.0;
                 let (lift_radii, lift_sigma) = params.end_lift(lean_sin, sees_face);
                 let aim = aim(model.radius_mm, &(point + raised * lift_radii), &outward, view)?;
+                let face_px = lift_sigma * lean_sin * aim.half_width_px;
                 let shadow_onward = view.profiler.shadow_along(&aim.along).max(0.0);
                 let shadow_px = END_SHADOW_RADII * shadow_onward * aim.half_width_px;
                 Some(EndSighting {
@@ -134,7 +135,7 @@ impl Refine {
                     expected_px: aim.px,
                     outward: aim.along,
                     mask_beyond_px: 0.0,
-                    face_px: lift_sigma * lean_sin * aim.half_width_px,
+                    face_px: (face_px * face_px + shadow_px * shadow_px).sqrt(),
                     shadow_px,
                     half_width_px: aim.half_width_px,
                     lift_px: (aim.jacobian * raised).dot(&aim.along),

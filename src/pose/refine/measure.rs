@@ -59,7 +59,7 @@ pub(super) fn measure_ends(
                 Measurement {
                     residual_px,
                     gradient: end.gradient,
-                    sigma_px: params.end_sigma_px.hypot(end.face_px).hypot(end.shadow_px),
+                    sigma_px: params.end_sigma_px.hypot(end.face_px),
                     patience: END_PATIENCE,
                     shaded: None,
                 },
@@ -68,7 +68,7 @@ pub(super) fn measure_ends(
                     index,
                     radius_px: end.half_width_px,
                     lift_px: end.lift_px,
-                    face_px: end.face_px.hypot(end.shadow_px),
+                    face_px: end.face_px,
                 },
             );
         }
