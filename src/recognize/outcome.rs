@@ -84,11 +84,12 @@ impl Recognizer {
         }
         // What was moved since it was judged may show a node less. It is in the way of others none the less.
         out.parts.retain(|f| f.fitness < params.search.fitness_max);
-        // What may not be there at all comes last.
+        // What is free of others comes before what may have something on it, and what may not be there at all last.
         let rank = |f: &FoundPart| match f.blocked {
             None => 0,
-            Some(_) if !f.proven => 3,
-            Some(Blocked::Covered) => 2,
+            Some(_) if !f.proven => 4,
+            Some(Blocked::Covered) => 3,
+            Some(Blocked::Uncertain) => 2,
             Some(_) => 1,
         };
         // An unstable sort allocates nothing; places settle ties the same way every time.
