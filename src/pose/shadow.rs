@@ -50,6 +50,8 @@ const WIDTHS_PER_RADIUS: f64 = 0.9;
 const WIDER_WIDTHS_MAX: f64 = 0.9;
 /// Wire without shadow is about as wide as this share of what is seen is not.
 const BARE_SHARE: f64 = 0.15;
+/// But no wider than this over its silhouette, where all wire has its shadow beside it.
+const BARE_MAX: f64 = 1.0;
 /// Directions that are tried, all around, and how much lower shadows may lie, in radii.
 const DIRECTIONS: usize = 36;
 const LOWER_RADII: [f64; 3] = [0.3, 0.6, 1.0];
@@ -146,7 +148,7 @@ impl ShadowSide {
         }
         let count = widths.len() as f64;
         let bare = (BARE_SHARE * count) as usize;
-        let bare = *widths.select_nth_unstable_by(bare, f64::total_cmp).1;
+        let bare = widths.select_nth_unstable_by(bare, f64::total_cmp).1.min(BARE_MAX);
         let unlike = |radii: &Vector2<f64>| -> f64 {
             let of_place = |place: &Place| {
                 let lower = place.across.dot(radii);

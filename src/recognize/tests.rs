@@ -323,7 +323,10 @@ fn parts_that_look_longer_than_their_files_are_told() {
     // Turned towards the left camera the right one sees things farther along the baseline, as if they were farther away.
     let turn = upright * (-0.8 / rig.right.fx);
     let [mut as_it_stands, mut as_calibrated] = [rig, rig.with_right_turned(&-turn)].map(recognizer);
-    let depth_mm = |found: &Recognition| found.parts[0].left_from_part.translation.z;
+    let depth_mm = |found: &Recognition| {
+        let depths = found.parts.iter().map(|part| part.left_from_part.translation.z);
+        depths.sum::<f64>() / found.parts.len() as f64
+    };
     for pair in 0..2 {
         let frames = frames(&session, pair, [0, 0]);
         let [right, wrong] = [&mut as_it_stands, &mut as_calibrated].map(|r| run(r, &frames));
