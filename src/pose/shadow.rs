@@ -28,6 +28,7 @@
 //! # Ok::<(), pickcell::part::PartError>(())
 //! ```
 
+use arrayvec::ArrayVec;
 use nalgebra::{Isometry3, Matrix2, Vector2};
 
 use super::aim::aim;
@@ -119,7 +120,7 @@ impl ShadowSide {
         }
         let sections = self.outlines.sections(bare.each_ref(), SEARCH_PX);
         let widths_px = sections.iter().map(|section| Some(section.as_ref()?.middle_and_width()?.1));
-        let widths_px: arrayvec::ArrayVec<Option<f64>, LINES> = widths_px.collect();
+        let widths_px: ArrayVec<Option<f64>, LINES> = widths_px.collect();
         for ((across, moves_px, half_width_px), widths_px) in signs.iter().zip(widths_px.chunks_exact(2)) {
             let (Some(left_px), Some(right_px)) = (widths_px[0], widths_px[1]) else { continue };
             let [left, right] = [left_px / (2.0 * half_width_px[0]), right_px / (2.0 * half_width_px[1])];
