@@ -5,7 +5,7 @@
 
 use nalgebra::Vector2;
 
-use super::section::{Profiler, SAMPLES_MAX, Section, without_shadow};
+use super::section::{Profiler, SAMPLES_MAX, Section};
 use crate::level::Level;
 use crate::vision::whole::{byte, floor, nearest};
 
@@ -135,21 +135,14 @@ impl Outlines {
         }
         for l in 0..self.count {
             let [is_low, is_high] = falls.each_ref().map(|falls| falls.below[l] != NONE);
-            let (mut low_px, mut high_px) = (is_low.then_some(low_px[l]), is_high.then_some(high_px[l]));
-            let mut is_off_shadow = false;
+            let outlines = [is_low.then_some(low_px[l]), is_high.then_some(high_px[l])];
+            let steepness = [low.steepness[l], high.steepness[l]];
+            let across = Vector2::new(self.across[0][l], self.across[1][l]);
             let profiler = profilers[self.side[l]];
-            if profiler.shadow.is_some() {
-                let steepness = [low.steepness[l], high.steepness[l]];
-                let across = Vector2::new(self.across[0][l], self.across[1][l]);
-                let shadow_above = profiler.shadow_along(&across) * reading.cos[l].signum();
-                let width_px = 2.0 * self.half_width_px[l];
-                is_off_shadow = without_shadow(steepness, shadow_above, &mut low_px, &mut high_px, width_px);
-            }
-            if reading.cos[l] < 0.0 {
-                (low_px, high_px) = (high_px.map(|h| -h), low_px.map(|l| -l));
-            }
+            let section =
+                profiler.section(outlines, steepness, (across, reading.cos[l]), self.half_width_px[l]);
             let is_seen = is_inside[l] & (is_low | is_high);
-            self.sections[l] = is_seen.then_some(Section { low_px, high_px, is_off_shadow });
+            self.sections[l] = is_seen.then_some(section);
         }
     }
 

@@ -96,8 +96,8 @@ impl<'a> Profiler<'a> {
         Self { outline_256, ..self }
     }
 
-    /// The same, with the shadow taken off that joins wire and falls this way in the picture, at most 1 long, see [`ShadowSide::falls`];
-    /// nought where it is not known which way, as else of dark wire. `None`: outlines are taken as they are seen.
+    /// The same, with the shadow taken off that joins wire and falls this way in the picture, at most 1 long, see
+    /// [`ShadowSide::falls`]; nought where it is not known which way, as else of dark wire. `None`: outlines are taken as they are seen.
     ///
     /// [`ShadowSide::falls`]: super::shadow::ShadowSide::falls
     pub fn with_shadow(self, shadow: Option<Vector2<f64>>) -> Self {
@@ -172,15 +172,27 @@ impl<'a> Profiler<'a> {
         let level = (self.contrast_min, self.outline_256);
         let fall = outline(bytes, half - window..half + window + 1, span, level)?;
         let to_px = |at: f64| (first + at - centre) * scale;
-        let (mut low, mut high) = (fall.low.map(|c| to_px(c.at)), fall.high.map(|c| to_px(c.at)));
-        let mut is_off_shadow = false;
-        if self.shadow.is_some() {
-            let steepness = [fall.low, fall.high].map(|c| c.map_or(0.0, |c| c.steepness));
+        let outlines = [fall.low, fall.high].map(|c| c.map(|c| to_px(c.at)));
+        let steepness = [fall.low, fall.high].map(|c| c.map_or(0.0, |c| c.steepness));
+        Some(self.section(outlines, steepness, (across, cos), half_width_px))
+    }
+
+    /// The outline of a wire from where its borders are seen along a row or column, the one before the middle first, and how steep
+    /// they are. `cos` is the part of `across` along the row or column: where it is negative, the first border is the positive side's.
+    #[inline]
+    pub(super) fn section(
+        &self,
+        [mut low, mut high]: [Option<f64>; 2],
+        steepness: [f64; 2],
+        (across, cos): (Vector2<f64>, f64),
+        half_width_px: f64,
+    ) -> Section {
+        let is_off_shadow = self.shadow.is_some() && {
             let shadow_above = self.shadow_along(&across) * cos.signum();
-            is_off_shadow = without_shadow(steepness, shadow_above, &mut low, &mut high, 2.0 * half_width_px);
-        }
+            without_shadow(steepness, shadow_above, &mut low, &mut high, 2.0 * half_width_px)
+        };
         let (low_px, high_px) = if cos < 0.0 { (high.map(|h| -h), low.map(|l| -l)) } else { (low, high) };
-        Some(Section { low_px, high_px, is_off_shadow })
+        Section { low_px, high_px, is_off_shadow }
     }
 
     /// The light between the borders of a wire's outline, along the unit vector `across`; from where the middle between them
@@ -278,7 +290,7 @@ pub(super) fn is_sure(shadow_above: f64) -> bool {
 /// wide, one of them is that of the shadow, by what is known of where it falls (`shadow_above`: see [`Profiler::shadow_along`]),
 /// and by the steepness of both, of which the flatter is likely the shadow's. Says whether one was taken off of which the side is
 /// known: then the other is the wire's own, and not what shadows on both sides have made of it.
-pub(super) fn without_shadow(
+fn without_shadow(
     [low_steepness, high_steepness]: [f64; 2],
     shadow_above: f64,
     low_px: &mut Option<f64>,

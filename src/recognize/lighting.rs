@@ -26,7 +26,8 @@ const DEPTHS_MAX: usize = 256;
 pub(super) struct Lighting {
     /// At which level they are taken, see [`Profiler::with_outlines_at`](crate::pose::section::Profiler::with_outlines_at).
     pub(super) outline_256: u8,
-    /// Where the shadows of dark parts fall, see [`ShadowSide::falls`](crate::pose::shadow::ShadowSide::falls); nought where that is not known.
+    /// Where the shadows of dark parts fall, see [`ShadowSide::falls`](crate::pose::shadow::ShadowSide::falls); nought where
+    /// that is not known.
     pub(super) shadow: Vector2<f64>,
 }
 
@@ -44,7 +45,7 @@ impl Recognizer {
             self;
         let rig = rig_of(scales, pictures);
         self.lighting = Lighting::default();
-        let dark = params.binarize.iter().any(|b| b.inverted);
+        let dark = params.dark_parts();
         if dark {
             self.lighting.outline_256 = DARK_OUTLINE_256;
         }

@@ -478,8 +478,7 @@ fn depth_mm(rig: &Rig, thickest_mm: f64) -> [f64; 2] {
 
 /// The gate as rig and light want it.
 fn gate(params: &Params, depth_mm: [f64; 2]) -> GateParams {
-    let dark = params.binarize.iter().any(|b| b.inverted);
-    let least = if dark { DARK_THICKNESS_FACTOR_MAX } else { 0.0 };
+    let least = if params.dark_parts() { DARK_THICKNESS_FACTOR_MAX } else { 0.0 };
     let thickness_factor_max = params.gate.thickness_factor_max.max(least);
     GateParams { depth_mm, thickness_factor_max, ..params.gate }
 }

@@ -14,10 +14,11 @@ use crate::rig::Rig;
 /// Height of the line that is seen of a dark part above its axis, in radii: below it, for each camera sees more of the shadow on
 /// its own side of the wire, down on the floor. From -0.2 to -0.5 on rendered floors, the less light comes from all sides.
 const DARK_LIFT_RADII: f64 = -0.33;
+
 /// Refinement as the light wants it: dark parts on a light floor are seen whole, and the outline of an end is the rim of its
 /// silhouette, 0.93 radii from the axis in the mean over the width that is looked at.
 pub(super) fn lit(params: &Params) -> refine::Params {
-    if params.binarize.iter().any(|b| b.inverted) {
+    if params.dark_parts() {
         refine::Params {
             lift_radii: DARK_LIFT_RADII,
             end_lift_radii: [0.93, -0.93],

@@ -15,7 +15,8 @@
 //! one. Before that, pixels that are clear against most of the background are looked for between the samples: the last
 //! part in a bin may be less of the picture than they can tell. Without any of these nothing is object.
 //! Else the threshold lies a third of the way from background to parts, and a quarter of the way near samples that
-//! are beyond half way: so dim ends of a part are kept while the bin's rim, dim all along, is not. Of dark parts, whose shadows are dark, too, it lies half way, a little less near such samples. Between the samples thresholds are interpolated.
+//! are beyond half way: so dim ends of a part are kept while the bin's rim, dim all along, is not. Of dark parts, whose
+//! shadows are dark, too, it lies half way, a little less near such samples. Between the samples thresholds are interpolated.
 
 mod lone;
 
