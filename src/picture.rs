@@ -12,7 +12,7 @@ use crate::rig::{CameraModel, UndistortTable};
 use crate::time::Timestamp;
 use crate::vision::binarize::{self, Binarize, ColourRange};
 use crate::vision::bits::BitImage;
-use crate::vision::decode::{Decoder, Output};
+use crate::vision::decode::{DecodeError, Decoder, Output};
 use crate::vision::graph::{self, Graph, Graphs};
 use crate::vision::halve::{halve_luma, halve_mask, thickness_px};
 use crate::vision::luma::LumaPlane;
@@ -91,12 +91,10 @@ impl Traced {
         let begin = Timestamp::now();
         self.thin.run(mask, skeleton);
         let thinned = Timestamp::now();
-        let mut in_time = !end.is_some_and(Timestamp::is_past);
-        if in_time {
-            self.graphs.run(skeleton, mask, luma.or(Some(&self.plane)), graph)?;
-            in_time = self.image_nodes.run(graph, mask, &self.rays, end)?;
-            self.half_width_px = half_width_px(graph, &mut self.widths);
-        }
+        let in_time = !end.is_some_and(Timestamp::is_past)
+            && self.graphs.run_until(skeleton, mask, luma.or(Some(&self.plane)), graph, end)?
+            && self.image_nodes.run(graph, mask, &self.rays, end)?;
+        self.half_width_px = half_width_px(graph, &mut self.widths);
         stages.thin_ns += thinned.ns_since(begin);
         stages.graph_ns += Timestamp::now().ns_since(thinned);
         Ok(in_time)
@@ -152,7 +150,7 @@ impl Picture {
     }
 
     /// Takes a frame through all stages, in the size that its wire wants; says whether they were done by `end`. Between them,
-    /// and among the nodes, it is asked how late it is.
+    /// and in the long ones, it is asked how late it is.
     pub(crate) fn run(
         &mut self,
         frame: &Frame,
@@ -160,10 +158,9 @@ impl Picture {
         end: Option<Timestamp>,
         stages: &mut StageTimes,
     ) -> Result<bool, Refusal> {
-        let Self { decoder, luma, binarize, sizes, halvings, evenness } = self;
         let (width, height) = (frame.width, frame.height);
-        let [rig_width, rig_height] = [sizes[0].mask.width(), sizes[0].mask.height()];
-        sizes.iter_mut().for_each(Traced::clear);
+        let [rig_width, rig_height] = [self.sizes[0].mask.width(), self.sizes[0].mask.height()];
+        self.sizes.iter_mut().for_each(Traced::clear);
         if (width, height) != (rig_width, rig_height) {
             return Err(Refusal::Size { side, width, height, rig_width, rig_height });
         }
@@ -171,20 +168,41 @@ impl Picture {
         if end.is_some_and(|end| begin >= end) {
             return Ok(false);
         }
-        let raw = decoder.run(frame).map_err(|_| Refusal::Damaged { side })?;
+        let raw = self.decoder.run_until(frame, end).map(|_| ());
         let decoded = Timestamp::now();
         stages.decode_ns += decoded.ns_since(begin);
-        if end.is_some_and(|end| decoded >= end) {
-            return Ok(false);
+        match raw {
+            Err(DecodeError::OutOfTime) => return Ok(false),
+            raw => raw.map_err(|_| Refusal::Damaged { side })?,
         }
+        let in_time = self.binarize(frame, side, end);
+        stages.binarize_ns += Timestamp::now().ns_since(decoded);
+        let mut in_time = in_time? && self.trace(self.halvings, frame, side, end, stages)?;
+        while in_time && self.halvings > 0 && 2.0 * self.half_width_px() < HALVED_PX_MIN {
+            in_time = self.trace(self.halvings - 1, frame, side, end, stages)?;
+        }
+        Ok(in_time)
+    }
+
+    /// From the decoded `frame` to its mask, halved as often as its wire wants; says whether there was time.
+    fn binarize(&mut self, frame: &Frame, side: Side, end: Option<Timestamp>) -> Result<bool, Refusal> {
+        let Self { decoder, luma, binarize, sizes, halvings, evenness } = self;
+        let is_late = || end.is_some_and(Timestamp::is_past);
+        let raw = raw_of(decoder, frame);
         let refused = |reason| Refusal::Binarize { side, reason };
         binarize.check(raw).map_err(refused)?;
         let luma = match raw.format {
             PixelFormat::Grey => raw,
             _ => luma.run(raw, binarize.encoding(raw)),
         };
+        if is_late() {
+            return Ok(false);
+        }
         let seen = if binarize.needs_luma_only() { luma } else { raw };
         binarize.run(seen, &mut sizes[0].mask).map_err(refused)?;
+        if is_late() {
+            return Ok(false);
+        }
         let range = binarize.params();
         let is_bright_on_dark = !range.inverted && range.colour == ColourRange::Auto;
         if let Some(refusal) = blind(luma, &sizes[0].mask, is_bright_on_dark, side) {
@@ -198,12 +216,7 @@ impl Picture {
             halve_luma(if *halvings == 0 { luma } else { &whole.plane }, &mut half.plane);
             *halvings += 1;
         }
-        stages.binarize_ns += Timestamp::now().ns_since(decoded);
-        let mut in_time = self.trace(self.halvings, frame, side, end, stages)?;
-        while in_time && self.halvings > 0 && 2.0 * self.half_width_px() < HALVED_PX_MIN {
-            in_time = self.trace(self.halvings - 1, frame, side, end, stages)?;
-        }
-        Ok(in_time)
+        Ok(!is_late())
     }
 
     /// Thins the picture halved so many times, and reads its graph; says whether there was time.
@@ -289,9 +302,14 @@ impl Picture {
     }
 }
 
+/// What `frame`, which was decoded last, is when it is decoded.
+fn raw_of<'a>(decoder: &'a Decoder, frame: &'a Frame) -> &'a Frame {
+    if frame.format == PixelFormat::Mjpeg { decoder.raw() } else { frame }
+}
+
 /// The luma of `frame`, which was taken through these stages.
 fn luma_of<'a>(decoder: &'a Decoder, luma: &'a LumaPlane, frame: &'a Frame) -> &'a Frame {
-    let raw = if frame.format == PixelFormat::Mjpeg { decoder.raw() } else { frame };
+    let raw = raw_of(decoder, frame);
     if raw.format == PixelFormat::Grey { raw } else { luma.plane() }
 }
 

@@ -99,8 +99,9 @@ fn is_noise(luma: &Frame) -> bool {
     let row = |y: usize| &luma.bytes[y * luma.stride_bytes..][..columns * SQUARE_PX];
     // Pixels differ by twice the variance of each; some rows tell.
     let variance_of = |row: &[u8], apart: usize| {
-        let squares = row.iter().zip(&row[apart..]).map(|(a, b)| u64::from(a.abs_diff(*b)).pow(2));
-        squares.sum::<u64>() as f64 / (2 * (row.len() - apart)) as f64
+        // No row is longer than 65535 pixels: a sum of so many squares is no more than 32 bits hold.
+        let squares = row.iter().zip(&row[apart..]).map(|(a, b)| u32::from(a.abs_diff(*b)).pow(2));
+        f64::from(squares.sum::<u32>()) / (2 * (row.len() - apart)) as f64
     };
     let looked_at = || (0..rows).map(|y| row(y * SQUARE_PX));
     let variance_at = |apart| looked_at().map(|row| variance_of(row, apart)).sum::<f64>() / rows as f64;

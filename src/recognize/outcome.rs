@@ -55,7 +55,9 @@ impl Recognizer {
         grasp::blocked(&params.grasp, &placed, &mut grasps, &mut blocked);
         drop(placed);
         let turned = out.turned.is_some_and(|turned| turned.doubt.is_some()).then_some(Blocked::Turned);
-        unknown.find(pictures, explanations.claims());
+        if in_time && !out.parts.is_empty() {
+            unknown.find(pictures, explanations.claims());
+        }
         let judged = grasps.iter().zip(blocked).zip(explanations.standing());
         for (found, ((grasp, blocked), explanation)) in out.parts.iter_mut().zip(judged) {
             if grasp.slid_mm != 0.0 {

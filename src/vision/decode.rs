@@ -38,6 +38,7 @@ use std::fmt::Display;
 
 use crate::frame::{Frame, PixelFormat};
 use crate::level::Level;
+use crate::time::Timestamp;
 use baseline::{Baseline, Fault};
 use idct::Kernel;
 use zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions};
@@ -117,6 +118,9 @@ pub enum DecodeError {
         /// Which.
         components: &'static str,
     },
+    /// Its moment had come before it was done; only of [`Decoder::run_until`].
+    #[error("the time for decoding is over")]
+    OutOfTime,
 }
 
 /// A message of another library without line breaks and runs of blanks: what is printed a line a picture.
@@ -160,6 +164,18 @@ impl Decoder {
     /// # Errors
     /// [`DecodeError`] for what is no JPEG picture, cut short, damaged, of another size, or in colours that give no luma.
     pub fn run<'a>(&'a mut self, frame: &'a Frame) -> Result<&'a Frame, DecodeError> {
+        self.run_until(frame, None)
+    }
+
+    /// As [`Decoder::run`], broken off at this moment where it is given; JPEG other than baseline is decoded whole.
+    ///
+    /// # Errors
+    /// Also [`DecodeError::OutOfTime`].
+    pub fn run_until<'a>(
+        &'a mut self,
+        frame: &'a Frame,
+        end: Option<Timestamp>,
+    ) -> Result<&'a Frame, DecodeError> {
         if frame.format != PixelFormat::Mjpeg {
             return Ok(frame);
         }
@@ -172,11 +188,12 @@ impl Decoder {
             let (wanted_width, wanted_height) = (self.raw.width, self.raw.height);
             DecodeError::Size { width, height, wanted_width, wanted_height }
         };
-        match decode(self.level, &mut self.baseline, jpeg, self.output, &mut self.raw.bytes) {
+        match decode(self.level, &mut self.baseline, (jpeg, end), self.output, &mut self.raw.bytes) {
             Ok(()) => {}
             Err(Fault::Unsupported) => decode_unusual(jpeg, self.output, &mut self.raw, bytes)?,
             Err(Fault::Damaged(reason)) => return Err(DecodeError::Damaged { bytes, reason: reason.into() }),
             Err(Fault::Size(width, height)) => return Err(size(width, height)),
+            Err(Fault::Late) => return Err(DecodeError::OutOfTime),
         }
         self.raw.timestamp = frame.timestamp;
         self.raw.mark = frame.mark;
@@ -189,18 +206,18 @@ impl Decoder {
 fn decode(
     level: Level,
     baseline: &mut Baseline,
-    jpeg: &[u8],
+    input: (&[u8], Option<Timestamp>),
     output: Output,
     out: &mut Vec<u8>,
 ) -> Result<(), Fault> {
     match level {
         #[cfg(target_arch = "x86_64")]
         // SAFETY: `with_level` takes no level above what `Level::detect` found on this machine.
-        Level::Avx512 => unsafe { decode_avx512(baseline, jpeg, output, out) },
+        Level::Avx512 => unsafe { decode_avx512(baseline, input, output, out) },
         #[cfg(target_arch = "x86_64")]
         // SAFETY: as above.
-        Level::Avx2 => unsafe { decode_avx2(baseline, jpeg, output, out) },
-        _ => decode_anywhere(idct::Plain, baseline, jpeg, output, out),
+        Level::Avx2 => unsafe { decode_avx2(baseline, input, output, out) },
+        _ => decode_anywhere(idct::Plain, baseline, input, output, out),
     }
 }
 
@@ -209,33 +226,39 @@ fn decode(
 #[target_feature(enable = "avx2,bmi1,bmi2,avx512f,avx512bw,avx512dq,avx512vl")]
 fn decode_avx512(
     baseline: &mut Baseline,
-    jpeg: &[u8],
+    input: (&[u8], Option<Timestamp>),
     output: Output,
     out: &mut Vec<u8>,
 ) -> Result<(), Fault> {
     // SAFETY: this function's own condition.
     let kernel = unsafe { idct::Avx512::new() };
-    decode_anywhere(kernel, baseline, jpeg, output, out)
+    decode_anywhere(kernel, baseline, input, output, out)
 }
 
 /// [`decode_anywhere`] compiled for AVX2.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,bmi1,bmi2")]
-fn decode_avx2(baseline: &mut Baseline, jpeg: &[u8], output: Output, out: &mut Vec<u8>) -> Result<(), Fault> {
+fn decode_avx2(
+    baseline: &mut Baseline,
+    input: (&[u8], Option<Timestamp>),
+    output: Output,
+    out: &mut Vec<u8>,
+) -> Result<(), Fault> {
     // SAFETY: this function's own condition.
     let kernel = unsafe { idct::Avx2::new() };
-    decode_anywhere(kernel, baseline, jpeg, output, out)
+    decode_anywhere(kernel, baseline, input, output, out)
 }
 
 #[inline(always)]
 fn decode_anywhere(
     kernel: impl Kernel,
     baseline: &mut Baseline,
-    jpeg: &[u8],
+    input: (&[u8], Option<Timestamp>),
     output: Output,
     out: &mut Vec<u8>,
 ) -> Result<(), Fault> {
-    baseline.read(kernel, jpeg, output == Output::Grey)?;
+    let (jpeg, end) = input;
+    baseline.read(kernel, jpeg, output == Output::Grey, end)?;
     match output {
         Output::Rgb => baseline.write_rgb(out),
         Output::Grey => baseline.write_luma(out),
@@ -416,6 +439,20 @@ mod tests {
         let mut padded = jpeg(16, 16);
         padded.bytes.extend([0; 100]);
         assert!(Decoder::new(Output::Rgb, 16, 16).run(&padded).is_ok());
+    }
+
+    #[test]
+    fn what_was_broken_off_leaves_nothing_behind() {
+        let (late, frames) = (Some(Timestamp(0)), recorded());
+        let (first, second) = (&frames[0], &frames[1]);
+        for level in Level::available() {
+            let decoder = || Decoder::with_level(Output::Rgb, first.width, first.height, *level);
+            let mut broken_off = decoder();
+            assert_eq!(broken_off.run_until(first, late), Err(DecodeError::OutOfTime), "{level:?}");
+            assert_eq!(broken_off.run(second), decoder().run(second), "{level:?}");
+        }
+        let raw = Frame::from_rgb(2, 1, vec![1; 6]);
+        assert_eq!(Decoder::new(Output::Rgb, 2, 1).run_until(&raw, late), Ok(&raw), "nothing to be done");
     }
 
     #[test]

@@ -8,6 +8,7 @@ use super::idct::Kernel;
 use super::rows::Rows;
 use super::tables::STANDARD_TABLES;
 use super::{block, idct, planes};
+use crate::time::Timestamp;
 
 /// Why a picture was not decoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -18,6 +19,8 @@ pub(super) enum Fault {
     Damaged(&'static str),
     /// Another size than was set up: width, height.
     Size(usize, usize),
+    /// Time was over.
+    Late,
 }
 
 /// One component of the picture.
@@ -85,9 +88,16 @@ impl Baseline {
         decoder
     }
 
-    /// Reads a whole picture to Y, Cb and Cr samples; only to Y where `luma_only`.
+    /// Reads a whole picture to Y, Cb and Cr samples; only to Y where `luma_only`. It is asked how late it is with every row
+    /// of units.
     #[inline(always)]
-    pub(super) fn read(&mut self, kernel: impl Kernel, jpeg: &[u8], luma_only: bool) -> Result<(), Fault> {
+    pub(super) fn read(
+        &mut self,
+        kernel: impl Kernel,
+        jpeg: &[u8],
+        luma_only: bool,
+        end: Option<Timestamp>,
+    ) -> Result<(), Fault> {
         self.own = [false; 4];
         self.is_quantized = [false; 4];
         self.restart_interval = 0;
@@ -121,8 +131,8 @@ impl Baseline {
                 0xda => {
                     self.read_scan_header(segment)?;
                     return match luma_only {
-                        true => self.read_scan::<true>(kernel, &jpeg[at..]),
-                        false => self.read_scan::<false>(kernel, &jpeg[at..]),
+                        true => self.read_scan::<true>(kernel, &jpeg[at..], end),
+                        false => self.read_scan::<false>(kernel, &jpeg[at..], end),
                     };
                 }
                 _ => {}
@@ -238,7 +248,12 @@ impl Baseline {
     }
 
     #[inline(always)]
-    fn read_scan<const LUMA_ONLY: bool>(&mut self, kernel: impl Kernel, data: &[u8]) -> Result<(), Fault> {
+    fn read_scan<const LUMA_ONLY: bool>(
+        &mut self,
+        kernel: impl Kernel,
+        data: &[u8],
+        end: Option<Timestamp>,
+    ) -> Result<(), Fault> {
         let (across, down) = (self.components[0].across, self.components[0].down);
         let (units, unit_rows) = (self.width.div_ceil(8 * across), self.height.div_ceil(8 * down));
         self.strides = std::array::from_fn(|c| units * 8 * self.components[c].across);
@@ -255,6 +270,9 @@ impl Baseline {
         self.rows.iter_mut().for_each(Rows::clear);
         let mut until_restart = self.restart_interval;
         for uy in 0..unit_rows {
+            if end.is_some_and(Timestamp::is_past) {
+                return Err(Fault::Late);
+            }
             data.ready(&mut bits);
             for ux in 0..units {
                 if self.restart_interval != 0 {

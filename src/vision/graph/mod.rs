@@ -23,6 +23,7 @@ pub mod trace;
 
 use crate::frame::Frame;
 use crate::level::Level;
+use crate::time::Timestamp;
 use crate::vision::bits::BitImage;
 use std::ops::Range;
 
@@ -230,18 +231,51 @@ impl Graphs {
         frame: Option<&Frame>,
         graph: &mut Graph,
     ) -> Result<(), Refusal> {
+        self.run_until(skeleton, mask, frame, graph, None).map(|_| ())
+    }
+
+    /// As [`Graphs::run`], broken off at `end` where it is given; says whether there was time. `graph` is empty where there was
+    /// none.
+    ///
+    /// # Errors
+    /// As [`Graphs::run`].
+    ///
+    /// # Panics
+    /// As [`Graphs::run`].
+    pub fn run_until(
+        &mut self,
+        skeleton: &BitImage,
+        mask: &BitImage,
+        frame: Option<&Frame>,
+        graph: &mut Graph,
+        end: Option<Timestamp>,
+    ) -> Result<bool, Refusal> {
         for picture in [skeleton, mask] {
             assert_eq!((picture.width(), picture.height()), (self.width, self.height), "size of the picture");
         }
         graph.clear();
         graph.reserve(&self.params);
+        let is_late = || end.is_some_and(Timestamp::is_past);
         self.pixels.run(self.level, skeleton)?;
+        if is_late() {
+            return Ok(false);
+        }
         self.traced.run(skeleton, &self.pixels)?;
+        if is_late() {
+            return Ok(false);
+        }
         self.pruned.run(mask, &self.pixels, &self.traced);
+        if is_late() {
+            return Ok(false);
+        }
         self.pruned.write(&self.params, mask, &self.pixels, &self.traced, graph);
         section::measure(mask, graph);
+        if is_late() {
+            graph.clear();
+            return Ok(false);
+        }
         ends::put_back(self.level, mask, frame, graph);
-        Ok(())
+        Ok(true)
     }
 }
 

@@ -235,6 +235,27 @@ fn too_much_is_refused_with_its_limit() {
 }
 
 #[test]
+fn a_graph_that_was_broken_off_is_empty_and_the_next_is_whole() {
+    let picture = BitImage::from_text(
+        "
+        ..........
+        .########.
+        ....#.....
+        ....#.....
+        ....#.....
+        ..........",
+    );
+    let (mut graphs, mut graph) = (Graphs::new(Params::default(), 10, 6), Graph::default());
+    graphs.run(&picture, &picture, None, &mut graph).expect("within the limits");
+    let whole = graph.clone();
+    let late = Some(Timestamp(0));
+    assert_eq!(graphs.run_until(&picture, &picture, None, &mut graph, late), Ok(false));
+    assert_eq!(graph, Graph::default());
+    graphs.run(&picture, &picture, None, &mut graph).expect("within the limits");
+    assert_eq!(graph, whole);
+}
+
+#[test]
 fn odd_pictures_neither_panic_nor_hang() {
     use crate::vision::thin::{self, Thin};
     use rand::{RngExt, SeedableRng};
