@@ -152,9 +152,11 @@ pub struct Placed<'a> {
     pub sigma_mm: Vector3<f64>,
 }
 
-/// How far apart the axes of two wires must be in height, in sums of their radii, for one to lie on the other rather
-/// than beside it. Where they cross it is 1 or more, less the error of two depths.
+/// How far apart the axes of two wires must be in height, for one to lie on the other rather than beside it, as a share of how
+/// far apart they are where they touch: the sum of their radii where they cross, less where one hangs over the other's edge.
 const OVER_MIN: f64 = 0.5;
+/// Nearer beside each other than this, in sums of their radii, they do not lie along each other.
+const OVERHANG_MAX: f64 = 0.9;
 /// The same in standard deviations of the height, for it to be sure.
 const SURE_SIGMAS: f64 = 2.0;
 /// How far apart the axes of two wires of about the same height are beside each other at least, in sums of their radii.
@@ -331,8 +333,10 @@ impl Crossing {
     /// some height on; all in sums of their radii.
     fn note(&mut self, above: f64, beside: f64, surely: f64) {
         if beside < 1.0 {
-            self.first_over |= above > OVER_MIN;
-            self.second_over |= above < -OVER_MIN;
+            let touching = if beside < OVERHANG_MAX { (1.0 - beside * beside).sqrt() } else { 1.0 };
+            let over = OVER_MIN * touching;
+            self.first_over |= above > over;
+            self.second_over |= above < -over;
             self.is_unclear |= above.abs() <= surely && beside < BESIDE_MIN;
         }
     }

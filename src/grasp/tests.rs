@@ -51,6 +51,22 @@ fn a_part_whose_end_juts_out_over_another_covers_it() {
 }
 
 #[test]
+fn an_end_that_lies_on_the_flank_of_another_covers_it() {
+    // Its end hangs over by a sixth of the sum of the radii; where they touch it is 1.66 mm higher.
+    let flank = |off_mm: f64, by_mm: f64| of_two(UPRIGHT, [0.0, 45.0 + off_mm, 500.0 - by_mm]).0;
+    let [first_over, second_over] =
+        [true, false].map(|first| Crossing { first_over: first, second_over: !first, ..Crossing::default() });
+    for by_mm in [0.9, 1.66, 3.0] {
+        assert_eq!(flank(2.5, by_mm), second_over, "{by_mm}");
+        assert_eq!(flank(2.5, -by_mm), first_over, "{by_mm}");
+    }
+    // Side by side on one floor, by what their heights and places are known to.
+    for (off_mm, by_mm) in [(2.5, 0.7), (2.8, 1.4), (3.0, 3.0)] {
+        assert_eq!(flank(off_mm, by_mm), Crossing::default(), "{off_mm} {by_mm}");
+    }
+}
+
+#[test]
 fn the_one_on_top_is_offered_and_neither_is_where_they_go_through_each_other() {
     // They cross far from where either is gripped.
     let over = |by_mm: f64| of_two(UPRIGHT, [30.0, 30.0, 500.0 - by_mm]).1;

@@ -89,9 +89,9 @@ impl Recognizer {
         // What is free of others comes before what may have something on it, and what may not be there at all last.
         let rank = |f: &FoundPart| match f.blocked {
             None => 0,
-            Some(_) if !f.proven => 4,
+            Some(Blocked::Covered | Blocked::Uncertain) if !f.proven => 4,
             Some(Blocked::Covered) => 3,
-            Some(Blocked::Uncertain) => 2,
+            Some(Blocked::Uncertain | Blocked::Unproven) => 2,
             Some(_) => 1,
         };
         // An unstable sort allocates nothing; places settle ties the same way every time.
@@ -99,6 +99,7 @@ impl Recognizer {
         out.parts.sort_unstable_by(|a, b| {
             rank(a)
                 .cmp(&rank(b))
+                .then(b.proven.cmp(&a.proven))
                 .then(b.sound.cmp(&a.sound))
                 .then(b.clear.total_cmp(&a.clear))
                 .then(place(a).total_cmp(&place(b)))
