@@ -254,6 +254,11 @@ impl Picture {
         Ok(in_time)
     }
 
+    /// Which pixels are object.
+    pub(crate) fn range(&self) -> &binarize::Params {
+        self.binarize.params()
+    }
+
     /// Half the width of its wire, in pixels of the size that was looked at; at most 40.
     pub(crate) fn half_width_px(&self) -> f64 {
         self.traced().half_width_px

@@ -24,6 +24,8 @@ const DEPTHS_MAX: usize = 256;
 /// What the light of a pair does to outlines.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Lighting {
+    /// Whether parts are darker than the floor.
+    pub(super) dark: bool,
     /// At which level they are taken, see [`Profiler::with_outlines_at`](crate::pose::section::Profiler::with_outlines_at).
     pub(super) outline_256: u8,
     /// Where the shadows of dark parts fall, see [`ShadowSide::falls`](crate::pose::shadow::ShadowSide::falls); nought where
@@ -32,24 +34,23 @@ pub(super) struct Lighting {
 }
 
 impl Default for Lighting {
-    /// That of dull wire under a lamp above.
+    /// That of dull bright wire under a lamp above.
     fn default() -> Self {
-        Self { outline_256: HALF_WAY, shadow: Vector2::zeros() }
+        Self { dark: false, outline_256: HALF_WAY, shadow: Vector2::zeros() }
     }
 }
 
 impl Recognizer {
     /// Finds out at which level outlines are to be taken, and where the shadows of dark parts fall.
     pub(super) fn judge_lighting(&mut self, pair: &FramePair) {
-        let Self { pictures, scales, thickness_mm, parts, search, pool, params, gloss, shadow_side, .. } =
-            self;
+        let Self { pictures, scales, thickness_mm, parts, search, pool, gloss, shadow_side, .. } = self;
         let rig = rig_of(scales, pictures);
-        self.lighting = Lighting::default();
-        let dark = params.dark_parts();
+        let dark = self.lighting.dark;
+        self.lighting = Lighting { dark, ..Lighting::default() };
         if dark {
             self.lighting.outline_256 = DARK_OUTLINE_256;
         }
-        let Some(views) = views(pictures, rig, pair, params, self.lighting) else { return };
+        let Some(views) = views(pictures, rig, pair, self.lighting) else { return };
         if dark {
             shadow_side.clear();
             for hypothesis in pool.iter().take(SHADOWS_MAX) {

@@ -33,6 +33,7 @@ mod lamp;
 mod lighting;
 mod outcome;
 mod params;
+mod polarity;
 mod prepared;
 mod result;
 mod spread;
@@ -64,6 +65,7 @@ use crate::vision::ridge::{self, Ridges};
 use explanations::{Explanations, Scene};
 use lighting::Lighting;
 pub use params::Params;
+use polarity::parts_are_dark;
 use prepared::Prepared;
 pub use result::{Doubt, FoundNode, FoundPart, NoPick, Recognition, Refusal, Seen, Side, StageTimes, Turned};
 use unexplained::{is_claimed, unexplained_px};
@@ -148,10 +150,10 @@ impl Recognizer {
         Ok(Self {
             votes: Votes::new(thickness_mm, depth_mm),
             thickness_mm,
-            search: Search::new(params.search, gate(&params, depth_mm), parts.len()),
+            search: Search::new(params.search, GateParams { depth_mm, ..params.gate }, parts.len()),
             pool: Vec::with_capacity(HYPOTHESES_MAX),
             lines: Lines::new(lines::Params { depth_mm, ..params.lines }, params.ridges.stretches_max),
-            explanations: Explanations::new(lit(&params), &rig, params.nodes.nodes_max, &parts),
+            explanations: Explanations::new(params.refine, &rig, params.nodes.nodes_max, &parts),
             unknown: Unknown::new(&pictures),
             gloss: Gloss::new(Level::detect()),
             shadow_side: ShadowSide::new(Level::detect()),
@@ -204,6 +206,7 @@ impl Recognizer {
             return Ok(());
         }
         let looked_at = Timestamp::now();
+        self.lighting.dark = parts_are_dark(&self.pictures, pair);
         let told_by_ends = self.turn_told_by_ends()?;
         stages.match_ns = Timestamp::now().ns_since(looked_at);
         let nodes = |p: &Picture| p.graph().nodes.len();
@@ -239,7 +242,8 @@ impl Recognizer {
         self.search(budget.less(out.spent.iterations).share(SEARCH_SHARE), *seed, out);
         let matched = Timestamp::now();
         self.judge_lighting(pair);
-        self.explanations.clear(self.pictures.each_ref().map(Picture::nodes));
+        let refine = lit(self.params.refine, self.lighting.dark);
+        self.explanations.clear(refine, self.pictures.each_ref().map(Picture::nodes));
         looking.set_again(*budget, LOOK_SHARE);
         let mut all_looked_at = self.explain(pair, false, looking);
         if all_looked_at && !looking.is_over() && self.search_ends(looking, out) {
@@ -284,7 +288,7 @@ impl Recognizer {
     /// Fills the pool with rough poses of all parts, fittest first: those of matches, and those that single nodes hold
     /// with the wire that leaves them. A single node costs an iteration of the budget.
     fn search(&mut self, budget: Budget, seed: u64, out: &mut Recognition) {
-        let Self { pictures, scales, parts, thickness_mm, search, pool, params, .. } = self;
+        let Self { pictures, scales, parts, search, pool, params, lighting, .. } = self;
         let rig = rig_of(scales, pictures);
         let [left, right] = [pictures[0].nodes(), pictures[1].nodes()];
         pool.clear();
@@ -292,7 +296,10 @@ impl Recognizer {
         let down = grasp::down_in_left(&params.grasp);
         let may_lie =
             |part: usize, pose: &Isometry3<f64>| !parts[part].is_too_steep(pose, &down, params.slope_rad_max);
-        search.begin(rig, left, right, *thickness_mm);
+        let least = if lighting.dark { DARK_THICKNESS_FACTOR_MAX } else { 0.0 };
+        let wider = (least / params.gate.thickness_factor_max).max(1.0);
+        let [thinnest_mm, thickest_mm] = self.thickness_mm;
+        search.begin(rig, left, right, [thinnest_mm / wider, thickest_mm * wider]);
         search.run_exact(judge_of, budget);
         let mut used = search.iterations();
         out.out_of_time = search.is_out_of_time();
@@ -383,7 +390,7 @@ impl Recognizer {
             }
         }
         self.explanations.settle_claimed(&self.parts);
-        let Self { pictures, scales, parts, pool, params, lines, explanations, second, .. } = self;
+        let Self { pictures, scales, parts, pool, params, lines, explanations, second, lighting, .. } = self;
         let Scale { rig, ridges, areas } = &mut scales[pictures[0].halvings()];
         pool.clear();
         let claims = explanations.claims();
@@ -395,8 +402,7 @@ impl Recognizer {
         let (pictures, areas) = (&*pictures, &*areas);
         let end = looking.end();
         let look = |ridges: &mut Ridges, luma: LumaView, side: usize| {
-            let dark = params.binarize[side].inverted;
-            ridges.run(luma, pictures[side].mask(), &areas[side], dark, half_px[side], end);
+            ridges.run(luma, pictures[side].mask(), &areas[side], lighting.dark, half_px[side], end);
         };
         let [left_ridges, right_ridges] = &mut *ridges;
         hands::both(second, || look(left_ridges, left, 0), || look(right_ridges, right, 1));
@@ -440,7 +446,7 @@ impl Recognizer {
     /// Holds the pool's hypotheses against both pictures, for the first time or `again`; says whether all of them.
     fn explain(&mut self, pair: &FramePair, again: bool, looking: &mut Watch) -> bool {
         let rig = rig_of(&self.scales, &self.pictures);
-        let views = views(&self.pictures, rig, pair, &self.params, self.lighting);
+        let views = views(&self.pictures, rig, pair, self.lighting);
         let Some(views) = views else { return true };
         let scene = Scene {
             rig,
@@ -474,13 +480,6 @@ struct Job<'a> {
 fn depth_mm(rig: &Rig, thickest_mm: f64) -> [f64; 2] {
     let focal_px = [rig.left, rig.right].iter().flat_map(|c| [c.fx, c.fy]).fold(0.0, f64::max);
     [rig.right_from_left.translation.vector.norm() / 2.0, focal_px * thickest_mm]
-}
-
-/// The gate as rig and light want it.
-fn gate(params: &Params, depth_mm: [f64; 2]) -> GateParams {
-    let least = if params.dark_parts() { DARK_THICKNESS_FACTOR_MAX } else { 0.0 };
-    let thickness_factor_max = params.gate.thickness_factor_max.max(least);
-    GateParams { depth_mm, thickness_factor_max, ..params.gate }
 }
 
 /// That of the size in which the pictures were looked at.

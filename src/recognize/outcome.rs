@@ -25,7 +25,7 @@ impl Recognizer {
     ) -> bool {
         let Self { explanations, parts, scales, pictures, params, lighting, .. } = self;
         let rig = rig_of(scales, pictures);
-        let Some(views) = views(pictures, rig, pair, params, *lighting) else { return true };
+        let Some(views) = views(pictures, rig, pair, *lighting) else { return true };
         let in_time = explanations.decide(parts, &params.select, &views, exchanging, PARTS_MAX);
         explanations.press_apart(parts, &grasp::down_in_left(&params.grasp), &views);
         let prepared = |e: &Explanation| &parts[e.hypothesis.part];
@@ -47,7 +47,7 @@ impl Recognizer {
     pub(super) fn grasp(&mut self, pair: &FramePair, in_time: bool, out: &mut Recognition) {
         let Self { parts, params, scales, pictures, explanations, unknown, lighting, .. } = self;
         let rig = rig_of(scales, pictures);
-        let views = views(pictures, rig, pair, params, *lighting);
+        let views = views(pictures, rig, pair, *lighting);
         let placed: ArrayVec<Placed, PARTS_MAX> =
             out.parts.iter().map(|f| parts[f.part].placed(&f.left_from_part, f.sigma_mm)).collect();
         let mut blocked = [None; PARTS_MAX];

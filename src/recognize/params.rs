@@ -41,13 +41,6 @@ pub struct Params {
     pub grasp: grasp::Params,
 }
 
-impl Params {
-    /// Whether parts are darker than the floor, in either picture.
-    pub fn dark_parts(&self) -> bool {
-        self.binarize.iter().any(|range| range.inverted)
-    }
-}
-
 impl Default for Params {
     fn default() -> Self {
         Self {

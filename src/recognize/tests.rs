@@ -80,6 +80,37 @@ fn pictures_are_left_where_time_is_over_and_left_again() {
 }
 
 #[test]
+fn whether_parts_are_dark_is_seen_whichever_way_their_range_is_given() {
+    use crate::vision::binarize::ColourRange;
+    let (session, rig) = conveyor();
+    let bright = frames(&session, 0, [0; 2]);
+    let negative =
+        |frame: &Frame| Frame { bytes: frame.bytes.iter().map(|v| 255 - v).collect(), ..frame.clone() };
+    let dark = FramePair { left: negative(&bright.left), right: negative(&bright.right) };
+    let all = run(&mut recognizer(rig), &bright).parts;
+    let [light, low] = [[110, 255], [0, 109]];
+    let rgb = |[min, max]: [u8; 2]| ColourRange::Rgb { min: [min; 3], max: [max; 3] };
+    let grey = |[min, max]: [u8; 2]| ColourRange::Grey { min, max };
+    let cases = [(&bright, false, light, low), (&dark, true, [0, 145], [146, 255])];
+    for (pair, is_dark, of_parts, of_floor) in cases {
+        for (colour, inverted) in [(rgb(of_parts), false), (grey(of_parts), false), (grey(of_floor), true)] {
+            let mut params = Params::default();
+            for range in &mut params.binarize {
+                (range.colour, range.inverted) = (colour, inverted);
+            }
+            let mut recognizer = recognizer_with(params, rig);
+            let found = run(&mut recognizer, pair).parts;
+            assert_eq!(recognizer.lighting.dark, is_dark, "{colour:?} {inverted}");
+            let is_found = |a: &&FoundPart| {
+                found.iter().any(|b| (a.grasp.position_mm - b.grasp.position_mm).norm() < 2.0)
+            };
+            let count = all.iter().filter(is_found).count();
+            assert!(10 * count >= 8 * all.len(), "{colour:?} {inverted}: {count} of {}", all.len());
+        }
+    }
+}
+
+#[test]
 fn thick_wire_is_recognised_in_half_the_size_as_in_a_picture_of_that_size() {
     let (session, rig) = conveyor();
     let mut small = recognizer(rig);

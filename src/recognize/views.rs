@@ -2,7 +2,6 @@
 
 use nalgebra::Isometry3;
 
-use super::Params;
 use super::lighting::Lighting;
 use crate::frame::{FramePair, LumaView};
 use crate::picture::Picture;
@@ -17,18 +16,18 @@ const DARK_LIFT_RADII: f64 = -0.33;
 
 /// Refinement as the light wants it: dark parts on a light floor are seen whole, and the outline of an end is the rim of its
 /// silhouette, 0.93 radii from the axis in the mean over the width that is looked at.
-pub(super) fn lit(params: &Params) -> refine::Params {
-    if params.dark_parts() {
+pub(super) fn lit(params: refine::Params, dark: bool) -> refine::Params {
+    if dark {
         refine::Params {
             lift_radii: DARK_LIFT_RADII,
             end_lift_radii: [0.93, -0.93],
             faces_like_wire: true,
             outline_ratio: 1.0,
             shading: Shading { across: 0.1, lift: 0.2, end: 0.08, ..Shading::default() },
-            ..params.refine
+            ..params
         }
     } else {
-        params.refine
+        params
     }
 }
 
@@ -36,20 +35,18 @@ pub(super) fn views<'a>(
     pictures: &'a [Picture; 2],
     rig: &'a Rig,
     pair: &'a FramePair,
-    params: &Params,
     lighting: Lighting,
 ) -> Option<[View<'a>; 2]> {
     let view = |side: usize, frame, camera, camera_from_left: Isometry3<f64>| {
         let picture = &pictures[side];
         let luma = LumaView::new(picture.luma(frame))?;
         let rotation = camera_from_left.rotation.to_rotation_matrix().into_inner();
-        let is_dark = params.binarize[side].inverted;
-        let shadow = is_dark.then(|| (rotation * lighting.shadow.push(0.0)).xy());
+        let shadow = lighting.dark.then(|| (rotation * lighting.shadow.push(0.0)).xy());
         Some(View {
             camera,
             rotation,
             camera_from_left,
-            profiler: Profiler::new(luma, is_dark, CONTRAST_MIN)
+            profiler: Profiler::new(luma, lighting.dark, CONTRAST_MIN)
                 .with_outlines_at(lighting.outline_256)
                 .with_shadow(shadow),
             mask: picture.mask(),

@@ -66,7 +66,7 @@ pub struct RecognizeArgs {
     /// Greatest BT.601 luma of a part's pixel [default: 255]
     #[arg(long, value_name = "0..255", allow_hyphen_values = true, value_parser = whole::<u8>(0, 255), help_heading = "Pixels")]
     pub grey_max: Option<u8>,
-    /// Parts are the pixels outside the range: dark parts on a light floor
+    /// Dark parts on a light floor; with a range of colours: parts are the pixels outside of it
     #[arg(long, help_heading = "Pixels")]
     pub inverted: bool,
     /// Corners of the region where parts are looked for, in both pictures: 10,10 600,10 600,400

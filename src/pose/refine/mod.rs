@@ -110,6 +110,11 @@ pub struct Refine {
 }
 
 impl Refine {
+    /// Refines with others from now on.
+    pub fn set_params(&mut self, params: Params) {
+        self.params = params;
+    }
+
     /// For this rig; reserves all memory.
     pub fn new(params: Params, rig: &Rig) -> Self {
         let level = Level::detect();

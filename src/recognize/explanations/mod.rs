@@ -177,8 +177,9 @@ impl Explanations {
         }
     }
 
-    /// Forgets the last pair.
-    pub(super) fn clear(&mut self, image_nodes: [&[ImageNode]; 2]) {
+    /// Forgets the last pair; the next poses are refined with these.
+    pub(super) fn clear(&mut self, params: refine::Params, image_nodes: [&[ImageNode]; 2]) {
+        self.refine.set_params(params);
         self.count = 0;
         self.refined.clear();
         self.decided = None;
