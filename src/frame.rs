@@ -2,8 +2,10 @@
 
 pub mod colour;
 mod luma;
+mod rgb;
 
 pub use luma::LumaView;
+pub use rgb::RgbView;
 
 use crate::time::Timestamp;
 
@@ -152,26 +154,7 @@ impl Frame {
     /// R, G, B of a pixel; coordinates beyond the picture take its border. Zeros for MJPEG and for an empty or
     /// short picture.
     pub fn rgb(&self, x: usize, y: usize) -> [u8; 3] {
-        if self.width == 0 || self.height == 0 || self.bytes.len() < self.bytes_needed() {
-            return [0; 3];
-        }
-        let (x, y) = (x.min(self.width - 1), y.min(self.height - 1));
-        let row = &self.bytes[y * self.stride_bytes..];
-        let ycbcr = || colour::Ycbcr::new(self.encoding);
-        match self.format {
-            PixelFormat::Rgb => [row[3 * x], row[3 * x + 1], row[3 * x + 2]],
-            PixelFormat::Bgr => [row[3 * x + 2], row[3 * x + 1], row[3 * x]],
-            PixelFormat::Grey => [row[x]; 3],
-            PixelFormat::Yuyv => {
-                let pair = x & !1;
-                ycbcr().rgb(row[2 * x], row[2 * pair + 1], row[2 * pair + 3])
-            }
-            PixelFormat::Nv12 => {
-                let chroma = &self.bytes[(self.height + y / 2) * self.stride_bytes + (x & !1)..];
-                ycbcr().rgb(row[x], chroma[0], chroma[1])
-            }
-            PixelFormat::Mjpeg => [0; 3],
-        }
+        RgbView::with_encoding(self, self.encoding).map_or([0; 3], |view| view.at(x, y))
     }
 }
 

@@ -4,17 +4,19 @@ mod blind;
 
 use blind::blind;
 
-use crate::frame::{Frame, PixelFormat};
+use crate::frame::{Frame, PixelFormat, RgbView};
 use crate::matching::nodes::{ImageNode, ImageNodes};
 use crate::part::Part;
 use crate::recognize::{Params, Refusal, Side, StageTimes};
 use crate::rig::{CameraModel, UndistortTable};
 use crate::time::Timestamp;
+use crate::vision::beside::beside;
 use crate::vision::binarize::{self, Binarize, ColourRange};
 use crate::vision::bits::BitImage;
 use crate::vision::decode::{DecodeError, Decoder, Output};
 use crate::vision::graph::{self, Graph, Graphs};
 use crate::vision::halve::{halve_luma, halve_mask, thickness_px};
+use crate::vision::hue::{Colours, HuePlane};
 use crate::vision::luma::LumaPlane;
 use crate::vision::thin::whole::WholeThin;
 
@@ -35,6 +37,10 @@ const SIDE_PX_MIN: usize = 200;
 pub struct Picture {
     decoder: Decoder,
     luma: LumaPlane,
+    /// Where a range of colours is given.
+    hue: Option<HuePlane>,
+    /// Whether grey values are those of its plane.
+    in_hue: bool,
     binarize: Binarize,
     /// The picture as it is, and halved once, twice and so on.
     sizes: Vec<Traced>,
@@ -129,8 +135,6 @@ impl Picture {
         parts: &[Part],
     ) -> Result<Self, binarize::ParamsError> {
         let (width, height) = (camera.width, camera.height);
-        let binarize = Binarize::new(range, width, height)?;
-        let output = if binarize.needs_luma_only() { Output::Grey } else { Output::Rgb };
         let mut sizes = vec![Traced::new(params, camera, Frame::default())];
         sizes.extend(halvings(camera).skip(1).map(|half| {
             let (width, height) = (half.width, half.height);
@@ -139,8 +143,13 @@ impl Picture {
         let thickness = || parts.iter().map(|part| part.thickness_mm);
         let (thinnest, thickest) =
             (thickness().fold(f64::INFINITY, f64::min), thickness().fold(0.0, f64::max));
+        let in_rgb = matches!(range.colour, ColourRange::Rgb { .. });
+        let binarize = Binarize::new(range, width, height)?;
+        let output = if binarize.needs_luma_only() { Output::Grey } else { Output::Rgb };
         Ok(Self {
             decoder: Decoder::new(output, width, height),
+            hue: in_rgb.then(|| HuePlane::new(width, height)),
+            in_hue: false,
             luma: LumaPlane::new(width, height),
             binarize,
             sizes,
@@ -161,6 +170,7 @@ impl Picture {
         let (width, height) = (frame.width, frame.height);
         let [rig_width, rig_height] = [self.sizes[0].mask.width(), self.sizes[0].mask.height()];
         self.sizes.iter_mut().for_each(Traced::clear);
+        self.in_hue = false;
         if (width, height) != (rig_width, rig_height) {
             return Err(Refusal::Size { side, width, height, rig_width, rig_height });
         }
@@ -186,7 +196,7 @@ impl Picture {
 
     /// From the decoded `frame` to its mask, halved as often as its wire wants; says whether there was time.
     fn binarize(&mut self, frame: &Frame, side: Side, end: Option<Timestamp>) -> Result<bool, Refusal> {
-        let Self { decoder, luma, binarize, sizes, halvings, evenness } = self;
+        let Self { decoder, luma, binarize, sizes, halvings, evenness, .. } = self;
         let is_late = || end.is_some_and(Timestamp::is_past);
         let raw = raw_of(decoder, frame);
         let refused = |reason| Refusal::Binarize { side, reason };
@@ -254,6 +264,51 @@ impl Picture {
         Ok(in_time)
     }
 
+    /// Has colours stand for grey values from here on, in both pictures of a pair, which have just been run, where they tell parts
+    /// from the floor and luma does not; says whether there was time.
+    pub(crate) fn see_in_hue(
+        pictures: &mut [Picture; 2],
+        frames: [&Frame; 2],
+        end: Option<Timestamp>,
+        stages: &mut StageTimes,
+    ) -> bool {
+        let begin = Timestamp::now();
+        let colours = [0, 1].map(|side: usize| pictures[side].telling_colours(frames[side]));
+        if let [Some(left), Some(right)] = colours {
+            for ((picture, frame), colours) in pictures.iter_mut().zip(frames).zip([left, right]) {
+                if end.is_some_and(Timestamp::is_past) {
+                    return false;
+                }
+                picture.write_hue(frame, &colours);
+            }
+        }
+        stages.binarize_ns += Timestamp::now().ns_since(begin);
+        true
+    }
+
+    /// The colours of parts and floor, where they tell more than luma.
+    fn telling_colours(&self, frame: &Frame) -> Option<Colours> {
+        let Self { hue, decoder, binarize, halvings, .. } = self;
+        hue.as_ref()?;
+        let raw = raw_of(decoder, frame);
+        let view = RgbView::with_encoding(raw, binarize.encoding(raw))?;
+        let colours = Colours::at(beside(self.graph(), self.mask()), &view, *halvings)?;
+        colours.tell_more_than_luma().then_some(colours)
+    }
+
+    fn write_hue(&mut self, frame: &Frame, colours: &Colours) {
+        let Self { hue, in_hue, decoder, binarize, sizes, halvings, .. } = self;
+        let Some(hue) = hue else { return };
+        let raw = raw_of(decoder, frame);
+        hue.run(raw, binarize.encoding(raw), colours);
+        *in_hue = true;
+        for times in 1..=*halvings {
+            let (larger, smaller) = sizes.split_at_mut(times);
+            let whole = if times == 1 { hue.plane() } else { &larger[times - 1].plane };
+            halve_luma(whole, &mut smaller[0].plane);
+        }
+    }
+
     /// Which pixels are object.
     pub(crate) fn range(&self) -> &binarize::Params {
         self.binarize.params()
@@ -298,10 +353,11 @@ impl Picture {
         self.traced().image_nodes.nodes()
     }
 
-    /// The luma of `frame`, which must be the one of the last run.
+    /// The luma of `frame`, which must be the one of the last run, or what stands for it.
     pub(crate) fn luma<'a>(&'a self, frame: &'a Frame) -> &'a Frame {
-        match self.halvings {
-            0 => luma_of(&self.decoder, &self.luma, frame),
+        match (self.halvings, &self.hue) {
+            (0, Some(hue)) if self.in_hue => hue.plane(),
+            (0, _) => luma_of(&self.decoder, &self.luma, frame),
             _ => &self.traced().plane,
         }
     }

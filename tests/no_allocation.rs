@@ -221,24 +221,32 @@ fn pictures_of_thick_wire_are_halved_and_a_turned_camera_allowed_for_without_an_
 }
 
 #[test]
-fn dark_parts_are_recognised_without_an_allocation() {
+fn neither_dark_parts_nor_coloured_ones_want_an_allocation() {
     let replay = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("replay");
     let rig = Rig::read(replay.join("conveyor/calibration.yaml")).unwrap();
     let rod = Part::read(replay.join("parts/rod-90.toml")).unwrap();
-    let mut params = recognize::Params::default();
-    params.binarize.iter_mut().for_each(|range| range.inverted = true);
-    let mut recognizer = Recognizer::new(params, rig, vec![rod]).unwrap();
-    let pairs = pairs_with(|bright| {
-        let pixels = (0..480 * 640).flat_map(|at| bright.rgb(at % 640, at / 640));
-        Frame::from_rgb(640, 480, pixels.map(|v| 255 - v).collect())
-    });
-    let mut found = Recognition::default();
-    let mut run = |pair: &FramePair| {
-        recognizer.run(pair, Budget::Iterations(100_000), 1, &mut found).unwrap();
-        found.parts.len()
-    };
-    run(&pairs[0]);
-    let mut parts = 0;
-    assert_eq!(allocations_of(|| parts = pairs.iter().map(&mut run).sum()), 0);
-    assert!(parts > 20, "{parts}");
+    let dark = |[r, g, b]: [u8; 3]| [255 - r, 255 - g, 255 - b];
+    // As bright as the floor.
+    let coloured = |[grey, ..]: [u8; 3]| [70 + grey / 2, 170 - grey / 3, 60 + grey / 3];
+    let red = ColourRange::Rgb { min: [120, 0, 0], max: [255, 135, 255] };
+    type Paint = fn([u8; 3]) -> [u8; 3];
+    let cases: [(_, _, Paint); 2] = [(ColourRange::Auto, true, dark), (red, false, coloured)];
+    for (colour, inverted, paint) in cases {
+        let mut params = recognize::Params::default();
+        params.binarize.iter_mut().for_each(|range| (range.colour, range.inverted) = (colour, inverted));
+        let mut recognizer = Recognizer::new(params, rig, vec![rod.clone()]).unwrap();
+        let pairs = pairs_with(|bright| {
+            let pixels = (0..480 * 640).flat_map(|at| paint(bright.rgb(at % 640, at / 640)));
+            Frame::from_rgb(640, 480, pixels.collect())
+        });
+        let mut found = Recognition::default();
+        let mut run = |pair: &FramePair| {
+            recognizer.run(pair, Budget::Iterations(100_000), 1, &mut found).unwrap();
+            found.parts.len()
+        };
+        run(&pairs[0]);
+        let mut parts = 0;
+        assert_eq!(allocations_of(|| parts = pairs.iter().map(&mut run).sum()), 0, "{colour:?}");
+        assert!(parts > 20, "{colour:?}: {parts}");
+    }
 }

@@ -276,13 +276,13 @@ impl Recognizer {
             || right.run(&pair.right, Side::Right, end, &mut of_right),
         );
         stages.with(&of_right, if is_shared { u64::max } else { |left, right| left + right });
-        let in_time =
-            left? & right? && Picture::agree(&mut self.pictures, [&pair.left, &pair.right], end, stages)?;
+        let frames = [&pair.left, &pair.right];
+        let in_time = left? & right? && Picture::agree(&mut self.pictures, frames, end, stages)?;
         let is_empty = self.pictures.iter().any(|picture| picture.graph().edges.is_empty());
         if in_time && !is_empty && pair.left.bytes == pair.right.bytes {
             return Err(Refusal::Same);
         }
-        Ok(in_time)
+        Ok(in_time && Picture::see_in_hue(&mut self.pictures, frames, end, stages))
     }
 
     /// Fills the pool with rough poses of all parts, fittest first: those of matches, and those that single nodes hold

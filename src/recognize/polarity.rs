@@ -8,16 +8,10 @@ use nalgebra::Vector2;
 use crate::frame::{FramePair, LumaView};
 use crate::picture::Picture;
 use crate::pose::section::CONTRAST_MIN;
+use crate::vision::beside::{Beside, beside};
 use crate::vision::binarize::ColourRange;
-use crate::vision::bits::{nearest, vector};
+use crate::vision::bits::nearest;
 
-/// Places along the skeleton that are asked, and over how many of its pixels to either side its direction is taken there.
-const STRIDE: usize = 5;
-const ARM: usize = 4;
-/// How far beside the mask the floor is looked at, in pixels: behind what lens and JPEG blur.
-const BESIDE_PX: f64 = 3.0;
-/// Places on wire whose luma counts as one, in half widths from its middle: glossy dark wire has a bright line there.
-const INSIDE: [f64; 3] = [-0.6, 0.0, 0.6];
 /// So many places at least, and so many times as many as say otherwise, tell.
 const PLACES_MIN: usize = 12;
 const MAJORITY: usize = 2;
@@ -45,26 +39,12 @@ pub(super) fn parts_are_dark(pictures: &[Picture; 2], pair: &FramePair) -> bool 
 
 /// By how many grey levels wire is brighter than the floor on either side of it, all along the skeleton.
 fn contrasts<'a>(picture: &'a Picture, luma: &'a LumaView) -> impl Iterator<Item = f64> + 'a {
-    let graph = picture.graph();
-    let luma_at = |x: f64, y: f64| {
-        let (x, y) = (usize::try_from(nearest(x)).ok()?, usize::try_from(nearest(y)).ok()?);
+    let luma_at = |px: Vector2<f64>| {
+        let (x, y) = (usize::try_from(nearest(px.x)).ok()?, usize::try_from(nearest(px.y)).ok()?);
         (x < luma.width() && y < luma.height()).then(|| f64::from(luma.at(x, y)))
     };
-    graph.edges.iter().flat_map(move |edge| {
-        let (chain, half_px) = (graph.edge_points(edge), f64::from(edge.half_thickness_px));
-        let places = (ARM..chain.len().saturating_sub(ARM)).step_by(STRIDE);
-        places.flat_map(move |i| {
-            let along = vector(chain[i + ARM]) - vector(chain[i - ARM]);
-            let across = Vector2::new(-along.y, along.x).normalize();
-            let at = move |px: f64| vector(chain[i]) + across * px;
-            let inside = INSIDE.map(|share| at(share * half_px)).map(|px| luma_at(px.x, px.y));
-            [-1.0, 1.0].into_iter().filter_map(move |side| {
-                let beside = at(side * (half_px + BESIDE_PX));
-                let floor = luma_at(beside.x, beside.y)
-                    .filter(|_| !picture.mask().get(nearest(beside.x), nearest(beside.y)))?;
-                let [a, b, c] = inside;
-                Some((a? + b? + c?) / INSIDE.len() as f64 - floor)
-            })
-        })
+    beside(picture.graph(), picture.mask()).filter_map(move |Beside { wire_px, floor_px }| {
+        let [a, b, c] = wire_px.map(luma_at);
+        Some((a? + b? + c?) / 3.0 - luma_at(floor_px)?)
     })
 }

@@ -111,6 +111,38 @@ fn whether_parts_are_dark_is_seen_whichever_way_their_range_is_given() {
 }
 
 #[test]
+fn parts_as_bright_as_the_floor_are_recognised_by_their_colour() {
+    use crate::vision::binarize::ColourRange;
+    let (session, rig) = conveyor();
+    // Both have a luma of 116: grey values say nothing.
+    let [floor, wire] = [[70.0, 150.0, 60.0], [196.0, 69.0, 147.0]];
+    let coloured = |frame: &Frame| {
+        let pixels = frame.bytes.chunks(3).flat_map(|rgb| {
+            let t = (f64::from(rgb[0]) - 30.0) / 150.0;
+            [0, 1, 2].map(|c| (floor[c] + (wire[c] - floor[c]) * t) as u8)
+        });
+        Frame::from_rgb(frame.width, frame.height, pixels.collect())
+    };
+    let mut params = Params::default();
+    for range in &mut params.binarize {
+        range.colour = ColourRange::Rgb { min: [120, 0, 0], max: [255, 120, 255] };
+    }
+    for doublings in [0, 1] {
+        let grey = frames(&session, 0, [doublings; 2]);
+        let pair = FramePair { left: coloured(&grey.left), right: coloured(&grey.right) };
+        let rig = doubled_rig(&rig, [doublings; 2]);
+        let all = run(&mut recognizer(rig), &grey).parts;
+        let mut by_colour = recognizer_with(params.clone(), rig);
+        let found = run(&mut by_colour, &pair).parts;
+        assert_eq!(by_colour.pictures()[0].halvings(), doublings);
+        let is_found =
+            |a: &&FoundPart| found.iter().any(|b| (a.grasp.position_mm - b.grasp.position_mm).norm() < 1.0);
+        let count = all.iter().filter(is_found).count();
+        assert!(10 * count >= 8 * all.len(), "{count} of {}", all.len());
+    }
+}
+
+#[test]
 fn thick_wire_is_recognised_in_half_the_size_as_in_a_picture_of_that_size() {
     let (session, rig) = conveyor();
     let mut small = recognizer(rig);

@@ -1,0 +1,63 @@
+//! Places on wire and on the floor beside it, all along the edges of a graph: what tells parts from the floor is asked there.
+//!
+//! ```
+//! use nalgebra::Vector2;
+//! use pickcell::vision::beside::beside;
+//! use pickcell::vision::bits::BitImage;
+//! use pickcell::vision::graph::{Graph, Graphs, Params};
+//! use pickcell::vision::thin::{self, Thin};
+//!
+//! let mut mask = BitImage::new(64, 40);
+//! (18..22).for_each(|y| (10..54).for_each(|x| mask.set(x, y, true)));
+//! let (mut skeleton, mut graph) = (mask.clone(), Graph::default());
+//! Thin::new(thin::Params::default(), 64, 40).run(&mask, &mut skeleton);
+//! Graphs::new(Params::default(), 64, 40).run(&skeleton, &mask, None, &mut graph)?;
+//! assert!(beside(&graph, &mask).count() > 10);
+//! for place in beside(&graph, &mask) {
+//!     let is_object = |px: Vector2<f64>| mask.get(px.x.round() as i32, px.y.round() as i32);
+//!     assert!(place.wire_px.into_iter().all(is_object) && !is_object(place.floor_px));
+//! }
+//! # Ok::<(), pickcell::vision::graph::Refusal>(())
+//! ```
+
+use nalgebra::Vector2;
+
+use super::bits::{BitImage, nearest, vector};
+use super::graph::Graph;
+
+/// Pixels of the skeleton that are asked, one in so many, and over how many of them to either side its direction is taken.
+const STRIDE: usize = 5;
+const ARM: usize = 4;
+/// How far beside the wire the floor is looked at, in pixels: behind what lens and JPEG blur.
+const BESIDE_PX: f64 = 3.0;
+/// Places on wire, in half widths from its middle: glossy dark wire has a bright line there.
+const INSIDE: [f64; 3] = [-0.6, 0.0, 0.6];
+
+/// Places across a wire: on it, and on the floor at one side.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Beside {
+    /// On the wire, from one side to the other.
+    pub wire_px: [Vector2<f64>; 3],
+    /// Beside it; may lie outside of the picture.
+    pub floor_px: Vector2<f64>,
+}
+
+/// Places all along the edges of `graph`, on either side of them where `mask` shows nothing.
+pub fn beside<'a>(graph: &'a Graph, mask: &'a BitImage) -> impl Iterator<Item = Beside> + 'a {
+    graph.edges.iter().flat_map(move |edge| {
+        let (chain, half_px) = (graph.edge_points(edge), f64::from(edge.half_thickness_px));
+        let places = (ARM..chain.len().saturating_sub(ARM)).step_by(STRIDE);
+        places.flat_map(move |i| {
+            let along = vector(chain[i + ARM]) - vector(chain[i - ARM]);
+            let across = Vector2::new(-along.y, along.x).try_normalize(0.5);
+            across.into_iter().flat_map(move |across| {
+                let at = move |px: f64| vector(chain[i]) + across * px;
+                let wire_px = INSIDE.map(|share| at(share * half_px));
+                let sides = [-1.0, 1.0].map(|side| at(side * (half_px + BESIDE_PX))).into_iter();
+                sides
+                    .filter(|px| !mask.get(nearest(px.x), nearest(px.y)))
+                    .map(move |floor_px| Beside { wire_px, floor_px })
+            })
+        })
+    })
+}
