@@ -33,6 +33,8 @@
 //! # Ok::<(), pickcell::part::PartError>(())
 //! ```
 
+use nalgebra::Point3;
+
 use super::claims::ClaimMap;
 use crate::pose::model::PoseModel;
 use crate::pose::refine::Fit;
@@ -156,6 +158,20 @@ pub fn unclaimed_overrun_mm(model: &PoseModel, verdict: &Verdict, claims: &[Clai
     })
 }
 
+/// Whether others have claimed the wire at an end, in either picture.
+fn has_claimed_end(model: &PoseModel, verdict: &Verdict, claims: &[ClaimMap; 2]) -> bool {
+    let is_at_end = |at: &Point3<f64>| {
+        model.ends.iter().any(|end| (end.position_mm - at).norm() < END_RADII * model.radius_mm)
+    };
+    let pieces = model.stations.iter().zip(&verdict.pieces);
+    pieces.filter(|(station, _)| is_at_end(&station.position_mm)).any(|(_, piece)| {
+        piece.iter().zip(claims).any(|(seen, claims)| seen.sight != Sight::Outside && claims.is_claimed(seen))
+    })
+}
+
+/// Within so many radii of an end wire is the end's.
+const END_RADII: f64 = 2.2;
+
 /// Where more than one end is seen this far from where it should be, they are not those of the part.
 const END_OFFSET_PX_MAX: f64 = 1.5;
 
@@ -215,10 +231,13 @@ pub fn worth(
         return Worth::NONE;
     }
     let (free, claimed) = free_and_claimed_mm(model, verdict, claims);
+    let is_crossed_along =
+        is_certain(fit, verdict, model.ends.len()) && !has_claimed_end(model, verdict, claims);
     let least = free[0].min(free[1]);
-    if least < params.seen_min * model.length_mm {
+    if least < params.seen_min * model.length_mm && !is_crossed_along {
         return Worth::NONE;
     }
+    let claimed = if is_crossed_along { 0.0 } else { claimed };
     // Wire that goes on is no riddle where it is known whose it is.
     let overrun_mm = unclaimed_overrun_mm(model, verdict, claims);
     let px_per_mm = verdict.pieces.first().map_or(1.0, |p| p[0].half_width_px / model.radius_mm).max(1e-3);
