@@ -115,7 +115,7 @@ impl Refine {
         how: EndLook,
     ) {
         let centre = pose * model.centre_mm;
-        let Self { ends, outlines, params, eye, .. } = self;
+        let Self { ends, outlines, params, eye, unasked_end, .. } = self;
         ends.clear();
         for end in &model.ends {
             let (point, outward) = (pose * end.position_mm, pose.rotation * end.outward);
@@ -142,6 +142,9 @@ impl Refine {
                     gradient: aim.gradient(&aim.along, &(point - centre)),
                 })
             }));
+        }
+        if let Some(unasked) = unasked_end.and_then(|index| ends.get_mut(index)) {
+            unasked.iter_mut().flatten().for_each(|end| end.beyond_px = None);
         }
         keep_bare(ends, outlines, profilers(views));
         for (side, end) in seen(ends) {

@@ -100,6 +100,8 @@ pub struct Refine {
     outlines: Outlines,
     sightings: Vec<[Option<Sighting>; 2]>,
     ends: Vec<[Option<EndSighting>; 2]>,
+    /// The end that is not asked, by its index among the model's.
+    unasked_end: Option<usize>,
     /// Where the measurements of the equations come from.
     origins: Vec<Origin>,
     /// What the refined pose is measured with.
@@ -124,6 +126,7 @@ impl Refine {
             outlines: Outlines::new(level),
             sightings: Vec::with_capacity(STATIONS_MAX),
             ends: Vec::with_capacity(64),
+            unasked_end: None,
             origins: Vec::with_capacity(MEASUREMENTS_MAX),
             observations: Vec::with_capacity(MEASUREMENTS_MAX),
             ratios: Vec::with_capacity(STATIONS_MAX),
@@ -146,6 +149,12 @@ impl Refine {
         self.ends.iter().flatten().flatten().any(|end| end.beyond_px.is_some())
     }
 
+    /// How many free ends of the part either picture shows, at the pose looked at last.
+    pub fn shown_ends(&self) -> usize {
+        let is_shown = |end: &&[Option<EndSighting>; 2]| end.iter().flatten().any(|e| e.beyond_px.is_some());
+        self.ends.iter().filter(is_shown).count()
+    }
+
     /// Refines `start`, a [coarse](Refine::coarse) pose, with the grey values of both pictures. `None` where too little
     /// of the part is seen to hold it.
     pub fn fine(&mut self, model: &PoseModel, start: &Isometry3<f64>, views: &[View; 2]) -> Option<Fit> {
@@ -161,6 +170,21 @@ impl Refine {
             }
         }
         last
+    }
+
+    /// As [`Refine::fine`], from a pose that is fine already, without asking where this end of the part is seen; then, with one
+    /// more look, all ends are asked. A neighbour's end beside it may have been taken for it.
+    pub fn without_end(
+        &mut self,
+        model: &PoseModel,
+        start: &Isometry3<f64>,
+        views: &[View; 2],
+        end: usize,
+    ) -> Option<Fit> {
+        self.unasked_end = Some(end);
+        let fit = self.fine(model, start, views);
+        self.unasked_end = None;
+        self.again(model, &fit?.left_from_part, views)
     }
 
     /// Refines a pose that is [fine](Refine::fine) already, or nearly so, with one more look. `None` where it is lost.

@@ -18,6 +18,7 @@ use crate::matching::nodes::{ImageNode, NodeRole};
 use crate::matching::problem::StereoNode;
 use crate::matching::select::{self, Worth};
 use crate::part::NODES_MAX;
+use crate::pose::model::PoseModel;
 use crate::pose::refine::{self, Fit, Refine, TurnSeen, View};
 use crate::pose::verify::{Verdict, verify};
 use crate::rig::Rig;
@@ -27,6 +28,9 @@ use crate::time::Watch;
 const EXPLANATIONS_MAX: usize = 1024;
 /// Most coarse poses of a pair that are known to have been refined.
 const REFINED_MAX: usize = 4096;
+/// From this misfit on one of a part's ends may not be what it was taken for; and to which share of it another fit must bring it.
+const DOUBTFUL_MISFIT: f64 = 1.1;
+const BETTER_MISFIT: f64 = 0.8;
 /// Two refined poses nearer than this are one.
 const SAME_MM: f64 = 1.0;
 /// A rough pose this near to a refined one would lead to it: where that is doubtful, where it is sound.
@@ -279,7 +283,10 @@ impl Explanations {
     ) -> Option<usize> {
         let prepared = &scene.parts[hypothesis.part];
         let model = &prepared.pose_model;
-        let fit = self.refine.fine(model, coarse, &scene.views)?;
+        let mut fit = self.refine.fine(model, coarse, &scene.views)?;
+        if fit.misfit > DOUBTFUL_MISFIT && self.refine.shown_ends() > 1 {
+            fit = self.refit(model, coarse, fit, scene)?;
+        }
         let pose = &fit.left_from_part;
         if prepared.is_too_steep(pose, &scene.down, scene.slope_rad_max) {
             return None;
@@ -321,6 +328,32 @@ impl Explanations {
         }
         self.claim_anchored(scene.parts);
         Some(index)
+    }
+
+    /// A fit that explains the pictures much better than a doubtful one, where one of the ends is not what it was taken for.
+    fn refit(
+        &mut self,
+        model: &PoseModel,
+        coarse: &Isometry3<f64>,
+        doubtful: Fit,
+        scene: &Scene,
+    ) -> Option<Fit> {
+        let mut best = doubtful;
+        for end in 0..model.ends.len() {
+            let start = &doubtful.left_from_part;
+            if let Some(fit) = self.refine.without_end(model, start, &scene.views, end)
+                && fit.misfit < BETTER_MISFIT * best.misfit
+                && fit.believed >= best.believed
+            {
+                best = fit;
+            }
+        }
+        // What is seen is what is seen from there.
+        if best == doubtful {
+            self.refine.fine(model, coarse, &scene.views)
+        } else {
+            self.refine.again(model, &best.left_from_part, &scene.views)
+        }
     }
 
     /// Another hypothesis has led to this explanation. Where both pictures show an end of it, what starts from that end
