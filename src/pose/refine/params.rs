@@ -46,7 +46,7 @@ impl Default for Params {
             faces_like_wire: false,
             end_reach_radii: 0.03,
             coarse_rounds: 2,
-            fine_rounds: 3,
+            fine_rounds: 6,
             missing_max: 0.16,
         }
     }
