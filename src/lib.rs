@@ -21,7 +21,7 @@
 //! | [`vision::halve`] | bit image and luma of thick wire | the same at half the size | | recognise |
 //! | [`vision::thin`](mod@vision::thin) | the bit image | its skeleton, one pixel wide | IV-B | recognise |
 //! | [`vision::graph`](mod@vision::graph) | skeleton, mask, grey values | [`Graph`](vision::graph::Graph): ends, junctions, pixel chains | IV-C | recognise |
-//! | [`vision::hue`] | a raw frame, the colours of parts and floor | grey values in which parts stand out by their colour, where luma has none | | recognise |
+//! | [`vision::hue`] | a raw frame, colours of parts and floor | grey values in which parts stand out by their colour | | recognise |
 //! | [`matching`] | two graphs, the rig, a part's model | matches of nodes with their fitness | III, IV-D, equations (2) to (8) | recognise |
 //! | [`pose`] | a rough pose, both pictures | the pose that agrees with both outlines, with its spread | V | recognise |
 //! | [`grasp`] | the poses of all parts | ranked targets, or why a part is blocked | V | recognise |

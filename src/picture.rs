@@ -10,7 +10,7 @@ use crate::part::Part;
 use crate::recognize::{Params, Refusal, Side, StageTimes};
 use crate::rig::{CameraModel, UndistortTable};
 use crate::time::Timestamp;
-use crate::vision::beside::beside;
+use crate::vision::beside::Beside;
 use crate::vision::binarize::{self, Binarize, ColourRange};
 use crate::vision::bits::BitImage;
 use crate::vision::decode::{DecodeError, Decoder, Output};
@@ -264,39 +264,19 @@ impl Picture {
         Ok(in_time)
     }
 
-    /// Has colours stand for grey values from here on, in both pictures of a pair, which have just been run, where they tell parts
-    /// from the floor and luma does not; says whether there was time.
-    pub(crate) fn see_in_hue(
-        pictures: &mut [Picture; 2],
-        frames: [&Frame; 2],
-        end: Option<Timestamp>,
-        stages: &mut StageTimes,
-    ) -> bool {
-        let begin = Timestamp::now();
-        let colours = [0, 1].map(|side: usize| pictures[side].telling_colours(frames[side]));
-        if let [Some(left), Some(right)] = colours {
-            for ((picture, frame), colours) in pictures.iter_mut().zip(frames).zip([left, right]) {
-                if end.is_some_and(Timestamp::is_past) {
-                    return false;
-                }
-                picture.write_hue(frame, &colours);
-            }
+    /// The colours of parts and floor at these places, in pixels of the size that was looked at; `None` where grey values stand for
+    /// colours already, or no range of colours is given.
+    pub(crate) fn colours(&self, frame: &Frame, places: &[Beside]) -> Option<Colours> {
+        let Self { hue, in_hue, decoder, binarize, halvings, .. } = self;
+        if hue.is_none() || *in_hue {
+            return None;
         }
-        stages.binarize_ns += Timestamp::now().ns_since(begin);
-        true
-    }
-
-    /// The colours of parts and floor, where they tell more than luma.
-    fn telling_colours(&self, frame: &Frame) -> Option<Colours> {
-        let Self { hue, decoder, binarize, halvings, .. } = self;
-        hue.as_ref()?;
         let raw = raw_of(decoder, frame);
-        let view = RgbView::with_encoding(raw, binarize.encoding(raw))?;
-        let colours = Colours::at(beside(self.graph(), self.mask()), &view, *halvings)?;
-        colours.tell_more_than_luma().then_some(colours)
+        Colours::at(places, &RgbView::with_encoding(raw, binarize.encoding(raw))?, *halvings)
     }
 
-    fn write_hue(&mut self, frame: &Frame, colours: &Colours) {
+    /// Has these colours stand for grey values from here on.
+    pub(crate) fn write_hue(&mut self, frame: &Frame, colours: &Colours) {
         let Self { hue, in_hue, decoder, binarize, sizes, halvings, .. } = self;
         let Some(hue) = hue else { return };
         let raw = raw_of(decoder, frame);

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`model`] | a part as stations along its wire |
 //! | [`section`] | where its outline is, read across and along the wire |
+//! | [`beside`] | where wire and the floor beside it are asked for their colours |
 //! | [`gloss`] | how far down its light the outline of polished wire is |
 //! | [`shadow`] | on which side of dark wire its shadow lies |
 //! | [`refine`] | the pose that agrees best with all of them, and how sure it is |
@@ -44,6 +45,7 @@
 //! ```
 
 mod aim;
+pub mod beside;
 pub mod contact;
 pub mod drawn;
 pub mod end;

@@ -21,15 +21,19 @@ pub struct Shading {
 impl Shading {
     /// The same on polished wire, whose bright line is not where light and shade of a dull one would be.
     pub fn polished(self) -> Self {
-        const TIMES: f64 = 2.0;
+        self.times(2.0)
+    }
+
+    /// So many times as much.
+    pub fn times(self, times: f64) -> Self {
         let Self { across, lift, turn_across, turn_lift, end, end_lift } = self;
         Self {
-            across: TIMES * across,
-            lift: TIMES * lift,
-            turn_across: TIMES * turn_across,
-            turn_lift: TIMES * turn_lift,
-            end: TIMES * end,
-            end_lift: TIMES * end_lift,
+            across: times * across,
+            lift: times * lift,
+            turn_across: times * turn_across,
+            turn_lift: times * turn_lift,
+            end: times * end,
+            end_lift: times * end_lift,
         }
     }
 }

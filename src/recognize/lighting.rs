@@ -26,6 +26,8 @@ const DEPTHS_MAX: usize = 256;
 pub(super) struct Lighting {
     /// Whether parts are darker than the floor.
     pub(super) dark: bool,
+    /// How many times as far as in luma outlines may be displaced.
+    pub(super) displaced_times: f64,
     /// At which level they are taken, see [`Profiler::with_outlines_at`](crate::pose::section::Profiler::with_outlines_at).
     pub(super) outline_256: u8,
     /// Where the shadows of dark parts fall, see [`ShadowSide::falls`](crate::pose::shadow::ShadowSide::falls); nought where
@@ -36,7 +38,7 @@ pub(super) struct Lighting {
 impl Default for Lighting {
     /// That of dull bright wire under a lamp above.
     fn default() -> Self {
-        Self { dark: false, outline_256: HALF_WAY, shadow: Vector2::zeros() }
+        Self { dark: false, displaced_times: 1.0, outline_256: HALF_WAY, shadow: Vector2::zeros() }
     }
 }
 
@@ -46,7 +48,7 @@ impl Recognizer {
         let Self { pictures, scales, thickness_mm, parts, search, pool, gloss, shadow_side, .. } = self;
         let rig = rig_of(scales, pictures);
         let dark = self.lighting.dark;
-        self.lighting = Lighting { dark, ..Lighting::default() };
+        (self.lighting.outline_256, self.lighting.shadow) = (HALF_WAY, Vector2::zeros());
         if dark {
             self.lighting.outline_256 = DARK_OUTLINE_256;
         }

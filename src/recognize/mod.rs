@@ -26,6 +26,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod colours;
 mod explanations;
 mod found;
 mod interrupted;
@@ -33,7 +34,6 @@ mod lamp;
 mod lighting;
 mod outcome;
 mod params;
-mod polarity;
 mod prepared;
 mod result;
 mod spread;
@@ -59,13 +59,13 @@ use crate::pose::gloss::Gloss;
 use crate::pose::shadow::ShadowSide;
 use crate::rig::Rig;
 use crate::time::{Budget, Spent, Timestamp, Watch};
+use crate::vision::beside::Beside;
 use crate::vision::binarize;
 use crate::vision::ridge::{self, Ridges};
 
 use explanations::{Explanations, Scene};
 use lighting::Lighting;
 pub use params::Params;
-use polarity::parts_are_dark;
 use prepared::Prepared;
 pub use result::{Doubt, FoundNode, FoundPart, NoPick, Recognition, Refusal, Seen, Side, StageTimes, Turned};
 use unexplained::{is_claimed, unexplained_px};
@@ -105,6 +105,8 @@ pub struct Recognizer {
     gloss: Gloss,
     shadow_side: ShadowSide,
     lighting: Lighting,
+    /// Where both pictures are asked for their colours.
+    places: [Vec<Beside>; 2],
     second: Option<hands::Owner>,
     /// As calibrated.
     rig: Rig,
@@ -150,7 +152,7 @@ impl Recognizer {
         Ok(Self {
             votes: Votes::new(thickness_mm, depth_mm),
             thickness_mm,
-            search: Search::new(params.search, GateParams { depth_mm, ..params.gate }, parts.len()),
+            search: Search::new(params.search, gate(&params, depth_mm), parts.len()),
             pool: Vec::with_capacity(HYPOTHESES_MAX),
             lines: Lines::new(lines::Params { depth_mm, ..params.lines }, params.ridges.stretches_max),
             explanations: Explanations::new(params.refine, &rig, params.nodes.nodes_max, &parts),
@@ -158,6 +160,7 @@ impl Recognizer {
             gloss: Gloss::new(Level::detect()),
             shadow_side: ShadowSide::new(Level::detect()),
             lighting: Lighting::default(),
+            places: [0, 1].map(|_| Vec::with_capacity(colours::PLACES_MAX)),
             pictures,
             params,
             scales,
@@ -206,7 +209,7 @@ impl Recognizer {
             return Ok(());
         }
         let looked_at = Timestamp::now();
-        self.lighting.dark = parts_are_dark(&self.pictures, pair);
+        self.lighting = Lighting::default();
         let told_by_ends = self.turn_told_by_ends()?;
         stages.match_ns = Timestamp::now().ns_since(looked_at);
         let nodes = |p: &Picture| p.graph().nodes.len();
@@ -241,8 +244,9 @@ impl Recognizer {
         out.parts.clear();
         self.search(budget.less(out.spent.iterations).share(SEARCH_SHARE), *seed, out);
         let matched = Timestamp::now();
+        self.judge_colours(pair, !budget.is_over());
         self.judge_lighting(pair);
-        let refine = lit(self.params.refine, self.lighting.dark);
+        let refine = lit(self.params.refine, self.lighting);
         self.explanations.clear(refine, self.pictures.each_ref().map(Picture::nodes));
         looking.set_again(*budget, LOOK_SHARE);
         let mut all_looked_at = self.explain(pair, false, looking);
@@ -282,13 +286,13 @@ impl Recognizer {
         if in_time && !is_empty && pair.left.bytes == pair.right.bytes {
             return Err(Refusal::Same);
         }
-        Ok(in_time && Picture::see_in_hue(&mut self.pictures, frames, end, stages))
+        Ok(in_time)
     }
 
     /// Fills the pool with rough poses of all parts, fittest first: those of matches, and those that single nodes hold
     /// with the wire that leaves them. A single node costs an iteration of the budget.
     fn search(&mut self, budget: Budget, seed: u64, out: &mut Recognition) {
-        let Self { pictures, scales, parts, search, pool, params, lighting, .. } = self;
+        let Self { pictures, scales, parts, thickness_mm, search, pool, params, .. } = self;
         let rig = rig_of(scales, pictures);
         let [left, right] = [pictures[0].nodes(), pictures[1].nodes()];
         pool.clear();
@@ -296,10 +300,7 @@ impl Recognizer {
         let down = grasp::down_in_left(&params.grasp);
         let may_lie =
             |part: usize, pose: &Isometry3<f64>| !parts[part].is_too_steep(pose, &down, params.slope_rad_max);
-        let least = if lighting.dark { DARK_THICKNESS_FACTOR_MAX } else { 0.0 };
-        let wider = (least / params.gate.thickness_factor_max).max(1.0);
-        let [thinnest_mm, thickest_mm] = self.thickness_mm;
-        search.begin(rig, left, right, [thinnest_mm / wider, thickest_mm * wider]);
+        search.begin(rig, left, right, *thickness_mm);
         search.run_exact(judge_of, budget);
         let mut used = search.iterations();
         out.out_of_time = search.is_out_of_time();
@@ -480,6 +481,13 @@ struct Job<'a> {
 fn depth_mm(rig: &Rig, thickest_mm: f64) -> [f64; 2] {
     let focal_px = [rig.left, rig.right].iter().flat_map(|c| [c.fx, c.fy]).fold(0.0, f64::max);
     [rig.right_from_left.translation.vector.norm() / 2.0, focal_px * thickest_mm]
+}
+
+/// The gate as rig and light want it.
+fn gate(params: &Params, depth_mm: [f64; 2]) -> GateParams {
+    let least = if params.may_be_dark() { DARK_THICKNESS_FACTOR_MAX } else { 0.0 };
+    let thickness_factor_max = params.gate.thickness_factor_max.max(least);
+    GateParams { depth_mm, thickness_factor_max, ..params.gate }
 }
 
 /// That of the size in which the pictures were looked at.

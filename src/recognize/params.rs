@@ -6,7 +6,8 @@ use crate::matching::gate::GateParams;
 use crate::matching::hypotheses::SingleParams;
 use crate::matching::{lines, nodes, search, select};
 use crate::pose::refine;
-use crate::vision::{binarize, graph, ridge, thin};
+use crate::vision::binarize::{self, ColourRange};
+use crate::vision::{graph, ridge, thin};
 
 /// What recognition is told.
 #[derive(Clone, Debug, PartialEq)]
@@ -39,6 +40,20 @@ pub struct Params {
     pub select: select::Params,
     /// What limits the grasps.
     pub grasp: grasp::Params,
+}
+
+impl Params {
+    /// Whether parts are darker than the floor as far as the colours say, in either picture: black is theirs.
+    pub fn may_be_dark(&self) -> bool {
+        self.binarize.iter().any(|range| {
+            let has_black = match range.colour {
+                ColourRange::Auto => false,
+                ColourRange::Rgb { min, .. } => min == [0; 3],
+                ColourRange::Grey { min, .. } => min == 0,
+            };
+            has_black != range.inverted
+        })
+    }
 }
 
 impl Default for Params {

@@ -16,8 +16,8 @@ const DARK_LIFT_RADII: f64 = -0.33;
 
 /// Refinement as the light wants it: dark parts on a light floor are seen whole, and the outline of an end is the rim of its
 /// silhouette, 0.93 radii from the axis in the mean over the width that is looked at.
-pub(super) fn lit(params: refine::Params, dark: bool) -> refine::Params {
-    if dark {
+pub(super) fn lit(params: refine::Params, lighting: Lighting) -> refine::Params {
+    let lit = if lighting.dark {
         refine::Params {
             lift_radii: DARK_LIFT_RADII,
             end_lift_radii: [0.93, -0.93],
@@ -28,7 +28,8 @@ pub(super) fn lit(params: refine::Params, dark: bool) -> refine::Params {
         }
     } else {
         params
-    }
+    };
+    refine::Params { shading: lit.shading.times(lighting.displaced_times), ..lit }
 }
 
 pub(super) fn views<'a>(

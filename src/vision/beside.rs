@@ -1,8 +1,9 @@
-//! Places on wire and on the floor beside it, all along the edges of a graph: what tells parts from the floor is asked there.
+//! Places on wire and on the floor beside it: what tells parts from the floor is asked there. Here those all along the edges of a
+//! graph; of parts, see [`pose::beside`](crate::pose::beside).
 //!
 //! ```
 //! use nalgebra::Vector2;
-//! use pickcell::vision::beside::beside;
+//! use pickcell::vision::beside::along_edges;
 //! use pickcell::vision::bits::BitImage;
 //! use pickcell::vision::graph::{Graph, Graphs, Params};
 //! use pickcell::vision::thin::{self, Thin};
@@ -12,8 +13,8 @@
 //! let (mut skeleton, mut graph) = (mask.clone(), Graph::default());
 //! Thin::new(thin::Params::default(), 64, 40).run(&mask, &mut skeleton);
 //! Graphs::new(Params::default(), 64, 40).run(&skeleton, &mask, None, &mut graph)?;
-//! assert!(beside(&graph, &mask).count() > 10);
-//! for place in beside(&graph, &mask) {
+//! assert!(along_edges(&graph, &mask).count() > 10);
+//! for place in along_edges(&graph, &mask) {
 //!     let is_object = |px: Vector2<f64>| mask.get(px.x.round() as i32, px.y.round() as i32);
 //!     assert!(place.wire_px.into_iter().all(is_object) && !is_object(place.floor_px));
 //! }
@@ -42,8 +43,13 @@ pub struct Beside {
     pub floor_px: Vector2<f64>,
 }
 
+/// The one in the middle.
+pub(crate) fn median([a, b, c]: [f64; 3]) -> f64 {
+    a.min(b).max(a.max(b).min(c))
+}
+
 /// Places all along the edges of `graph`, on either side of them where `mask` shows nothing.
-pub fn beside<'a>(graph: &'a Graph, mask: &'a BitImage) -> impl Iterator<Item = Beside> + 'a {
+pub fn along_edges<'a>(graph: &'a Graph, mask: &'a BitImage) -> impl Iterator<Item = Beside> + 'a {
     graph.edges.iter().flat_map(move |edge| {
         let (chain, half_px) = (graph.edge_points(edge), f64::from(edge.half_thickness_px));
         let places = (ARM..chain.len().saturating_sub(ARM)).step_by(STRIDE);

@@ -2,7 +2,7 @@
 //!
 //! Takes a raw [`Frame`] in colour, and what colours parts and floor have in it; gives a grey frame that [`HuePlane`] owns. What is measured in grey values (ends,
 //! outlines) is measured in luma, which cameras send in full resolution and with the least noise; red wire on a green floor has
-//! none to show. Its colour is then held against the floor's: of the way from the floor's mean colour to the parts', that which is
+//! none to show. Its colour is then held against the floor's: of the way from the floor's colour to the parts', that which is
 //! across the floor's own, so that shadows and light that falls off leave a floor as it is.
 //!
 //! ```
@@ -20,27 +20,33 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::beside::Beside;
+use super::beside::{Beside, median};
 use super::bits::nearest;
 use super::halve::in_whole;
 use crate::frame::colour::{LUMA_SHIFT, LUMA_WEIGHTS};
 use crate::frame::{ColourEncoding, Frame, PixelFormat, RgbView};
 
-/// Grey values of the floor's mean colour, and of the parts'.
+/// Grey values of the floor's colour, and of the parts'.
 const FLOOR: f64 = 64.0;
 const PARTS: f64 = 192.0;
+/// What differs by less, in levels, differs by rounding.
+const ROUNDING: f64 = 1.0;
 /// Places on wire, and as many beside it, that tell colours.
 const PLACES_MIN: usize = 12;
 /// A floor darker than this, in R, G, B together, has no colour of its own.
 const BLACK: f64 = 24.0;
-/// Least contrast in which luma serves, and colours do, in grey levels; and how many times as much as luma's theirs must be.
+/// Contrasts in grey levels: in which luma shows next to nothing, and in which it serves with bright parts; in which colours serve
+/// with the first; and with bright and dark parts, and then how many times as much as luma's. Dark parts have shadows, which have
+/// no colour; of bright parts cameras send luma in more detail.
+const LUMA_LEAST: f64 = 12.0;
 const LUMA_ENOUGH: f64 = 40.0;
-const HUE_MIN: f64 = 30.0;
-const HUE_RATIO: f64 = 2.0;
-/// What is less is rounding, in levels.
-const HUE_LEAST: f64 = 1.0;
+const HUE_LEAST: f64 = 18.0;
+const HUE_OF_BRIGHT: [f64; 2] = [30.0, 2.0];
+const HUE_OF_DARK: [f64; 2] = [60.0, 0.75];
+/// Gloss: from so many levels brighter than parts and floor on, to so many more, what is seen is taken for the parts' colour.
+const GLOSS: [f64; 2] = [25.0, 40.0];
 
-/// The mean colours of a picture: R, G, B from 0 to 255.
+/// The colours of a picture, medians of R, G and B from 0 to 255.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Colours {
     /// Of the object.
@@ -50,28 +56,28 @@ pub struct Colours {
 }
 
 impl Colours {
-    /// The mean colours at these places of a frame, which were found when it had been halved so many times; `None` where there
-    /// are hardly any.
-    pub fn at(places: impl Iterator<Item = Beside>, frame: &RgbView, halvings: usize) -> Option<Self> {
+    /// The colours at these places of a frame, which were found when it had been halved so many times; `None` where there are
+    /// hardly any.
+    pub fn at(places: &[Beside], frame: &RgbView, halvings: usize) -> Option<Self> {
         let colour_at = |px: Vector2<f64>| {
             let [x, y] = in_whole(px, halvings).into();
             // What lies outside takes the border's.
-            Vector3::from(frame.at(nearest(x).max(0) as usize, nearest(y).max(0) as usize)).map(f64::from)
+            frame.at(nearest(x).max(0) as usize, nearest(y).max(0) as usize)
         };
-        let ([mut parts, mut floor], mut count) = ([Vector3::zeros(); 2], 0);
+        let [mut parts, mut floor] = [Levels::NONE; 2];
         for Beside { wire_px, floor_px } in places {
-            parts += wire_px.map(colour_at).iter().sum::<Vector3<f64>>() / wire_px.len() as f64;
-            floor += colour_at(floor_px);
-            count += 1;
+            let [a, b, c] = wire_px.map(colour_at);
+            // Gloss is not the wire's colour.
+            parts.add([0, 1, 2].map(|k| median([a, b, c].map(|rgb| f64::from(rgb[k]))) as u8));
+            floor.add(colour_at(*floor_px));
         }
-        let mean = |sum: Vector3<f64>| sum / count as f64;
-        (count >= PLACES_MIN).then(|| Self { parts: mean(parts), floor: mean(floor) })
+        let count = places.len();
+        (count >= PLACES_MIN).then(|| Self { parts: parts.medians(count), floor: floor.medians(count) })
     }
 
     /// By how many grey levels the parts are brighter than the floor.
     pub fn luma_contrast(&self) -> f64 {
-        let weights = Vector3::from(LUMA_WEIGHTS).map(f64::from) / f64::from(1 << LUMA_SHIFT);
-        weights.dot(&(self.parts - self.floor))
+        luma_weights().dot(&(self.parts - self.floor))
     }
 
     /// How far the parts' colour is from the floor's, in levels, across the floor's own: what differs but in brightness is 0.
@@ -79,10 +85,17 @@ impl Colours {
         self.across().norm()
     }
 
-    /// Whether grey values tell parts from the floor better by colour than by luma.
-    pub fn tell_more_than_luma(&self) -> bool {
-        let (luma, hue) = (self.luma_contrast().abs(), self.hue_contrast());
-        luma < LUMA_ENOUGH && hue >= HUE_MIN && hue >= HUE_RATIO * luma
+    /// Whether grey values tell parts from the floor better by colour than by luma, in both pictures of a pair.
+    pub fn tell_more_than_luma(both: [&Self; 2]) -> bool {
+        let mean = |of: fn(&Self) -> f64| both.iter().map(|colours| of(colours)).sum::<f64>() / 2.0;
+        let (luma, hue) = (mean(Self::luma_contrast), mean(Self::hue_contrast));
+        let [least, ratio] = match luma {
+            _ if luma.abs() < LUMA_LEAST => [HUE_LEAST, 0.0],
+            _ if luma < 0.0 => HUE_OF_DARK,
+            _ if luma < LUMA_ENOUGH => HUE_OF_BRIGHT,
+            _ => return false,
+        };
+        hue >= least && hue >= ratio * luma.abs()
     }
 
     fn across(&self) -> Vector3<f64> {
@@ -91,6 +104,37 @@ impl Colours {
             Some(floor) => way - floor * floor.dot(&way),
             None => way,
         }
+    }
+}
+
+/// Weights of R, G, B in luma.
+fn luma_weights() -> Vector3<f64> {
+    Vector3::from(LUMA_WEIGHTS).map(f64::from) / f64::from(1 << LUMA_SHIFT)
+}
+
+/// How often each level was seen, of R, G and B.
+struct Levels([[u16; 256]; 3]);
+
+impl Levels {
+    const NONE: Self = Self([[0; 256]; 3]);
+
+    fn add(&mut self, rgb: [u8; 3]) {
+        for (counts, level) in self.0.iter_mut().zip(rgb) {
+            counts[usize::from(level)] += 1;
+        }
+    }
+
+    /// The medians of so many.
+    fn medians(&self, count: usize) -> Vector3<f64> {
+        let medians = self.0.each_ref().map(|counts| {
+            let mut below = 0;
+            let median = counts.iter().position(|&times| {
+                below += usize::from(times);
+                2 * below >= count
+            });
+            median.unwrap_or(0) as f64
+        });
+        medians.into()
     }
 }
 
@@ -113,17 +157,25 @@ impl HuePlane {
         let scale = (PARTS - FLOOR) / across.norm_squared();
         let weights = (across * scale).map(|w| w as f32);
         let offset = (0.5 + FLOOR - colours.floor.dot(&across) * scale) as f32;
+        // Gloss has the colour of the lamp.
+        let brightest = luma_weights().dot(&colours.parts).max(luma_weights().dot(&colours.floor));
+        let luma = luma_weights().map(|w| w as f32);
+        let per_level = ((PARTS - FLOOR) / GLOSS[1]) as f32;
+        let no_gloss = FLOOR as f32 - (brightest + GLOSS[0]) as f32 * per_level;
         let Self { plane } = self;
         let is_of_size = (frame.width, frame.height) == (plane.width, plane.height);
         let pixels =
-            RgbView::with_encoding(frame, encoding).filter(|_| is_of_size && across.norm() >= HUE_LEAST);
+            RgbView::with_encoding(frame, encoding).filter(|_| is_of_size && across.norm() >= ROUNDING);
         let Some(pixels) = pixels else {
             plane.bytes.fill(FLOOR as u8);
             return plane;
         };
         // Rounded; what is out of range saturates.
         let grey = |[r, g, b]: [u8; 3]| {
-            (offset + weights.x * f32::from(r) + weights.y * f32::from(g) + weights.z * f32::from(b)) as u8
+            let [r, g, b] = [r, g, b].map(f32::from);
+            let hue = offset + weights.x * r + weights.y * g + weights.z * b;
+            let gloss = no_gloss + per_level * (luma.x * r + luma.y * g + luma.z * b);
+            hue.max(gloss.min(PARTS as f32)) as u8
         };
         let rows = plane.bytes.chunks_exact_mut(plane.width).enumerate();
         if frame.format == PixelFormat::Rgb {
@@ -154,7 +206,7 @@ mod tests {
     /// A wire of one colour, six rows thick, on a floor of another that lies in shadow on the left; and places along it.
     fn picture(floor: [u8; 3], wire: [u8; 3], format: PixelFormat) -> (Frame, Vec<Beside>) {
         let [width, height] = SIZE;
-        let colour_at = |x: usize, y: usize| match ((17..23).contains(&y), x < 32) {
+        let colour_at = |x: usize, y: usize| match ((17..23).contains(&y), x < 20) {
             (true, _) => wire,
             (false, true) => floor.map(|v| v / 2),
             (false, false) => floor,
@@ -182,7 +234,7 @@ mod tests {
     }
 
     fn colours(frame: &Frame, places: &[Beside]) -> Option<Colours> {
-        Colours::at(places.iter().copied(), &RgbView::with_encoding(frame, frame.encoding)?, 0)
+        Colours::at(places, &RgbView::with_encoding(frame, frame.encoding)?, 0)
     }
 
     #[test]
@@ -191,7 +243,7 @@ mod tests {
             let (frame, places) = picture([60, 130, 80], [190, 60, 110], format);
             let colours = colours(&frame, &places).expect("wire and floor");
             let mut stage = HuePlane::new(SIZE[0], SIZE[1]);
-            assert!(colours.tell_more_than_luma(), "{format:?} {colours:?}");
+            assert!(Colours::tell_more_than_luma([&colours; 2]), "{format:?} {colours:?}");
             let plane = stage.run(&frame, frame.encoding, &colours);
             for x in [10, 50] {
                 let seen = [5, 20, 35].map(|y| i32::from(plane.luma(x, y)));
@@ -207,13 +259,35 @@ mod tests {
     fn luma_serves_where_it_tells_parts_from_the_floor() {
         let tell = |floor, wire| {
             let (frame, places) = picture(floor, wire, PixelFormat::Rgb);
-            colours(&frame, &places).map(|colours| colours.tell_more_than_luma())
+            colours(&frame, &places).map(|colours| Colours::tell_more_than_luma([&colours; 2]))
         };
         assert_eq!(tell([40, 40, 40], [190, 190, 190]), Some(false), "grey");
         assert_eq!(tell([40, 40, 40], [210, 90, 60]), Some(false), "bright and red");
         assert_eq!(tell([90, 90, 90], [110, 110, 112]), Some(false), "hardly any difference");
+        // Dark parts have shadows, and what is as bright has nothing else.
+        assert_eq!(tell([180, 180, 180], [190, 50, 50]), Some(true), "dark and red");
+        assert_eq!(tell([180, 180, 180], [60, 50, 50]), Some(false), "dark");
+        assert_eq!(tell([90, 90, 90], [108, 84, 84]), Some(true), "pale");
         let (frame, _) = picture([9; 3], [9; 3], PixelFormat::Rgb);
         assert_eq!(colours(&frame, &[]), None, "no wire");
+    }
+
+    #[test]
+    fn gloss_is_neither_the_wires_colour_nor_a_hole_in_it() {
+        let (mut frame, places) = picture([60, 130, 80], [190, 60, 110], PixelFormat::Rgb);
+        let clear = colours(&frame, &places).expect("wire and floor");
+        // A white line along its middle, and one wire in five that is another's.
+        for y in 19..21 {
+            frame.bytes[y * frame.stride_bytes..][..3 * SIZE[0]].fill(250);
+        }
+        for x in 0..SIZE[0] / 5 {
+            (17..23).for_each(|y| frame.bytes[y * frame.stride_bytes + 3 * x..][..3].fill(20));
+        }
+        let glossy = colours(&frame, &places).expect("wire and floor");
+        assert_eq!(glossy, clear);
+        let mut stage = HuePlane::new(SIZE[0], SIZE[1]);
+        let plane = stage.run(&frame, frame.encoding, &glossy);
+        assert_eq!([17, 19, 20, 22].map(|y| plane.luma(50, y)), [192; 4]);
     }
 
     #[test]

@@ -9,7 +9,7 @@
 
 use nalgebra::{Matrix3, Matrix6, Point3, SMatrix, Vector3};
 
-use super::equations::{Doubt, START_SIGMA, Unknowns};
+use super::equations::{Doubt, Unknowns, start_sigma};
 use super::turn::TurnSeen;
 use super::{FINE_NEXT, Fit, Refine, Shading, View};
 use crate::pose::model::PoseModel;
@@ -83,9 +83,10 @@ impl Refine {
             scales: &[scale],
             shading_sigma_px: params.shading_sigma_px,
             along: model.straight_along.map(|a| pose.rotation * a),
+            start_sigma: start_sigma(model.radius_mm),
         });
         let Some(solution) = solution else {
-            let [mm, radians] = START_SIGMA.map(|sigma| sigma * sigma);
+            let [mm, radians] = start_sigma(model.radius_mm).map(|sigma| sigma * sigma);
             let covariance = Matrix6::from_diagonal(&[mm, mm, mm, radians, radians, radians].into());
             return Spread { covariance, ..Spread::default() };
         };

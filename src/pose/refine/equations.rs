@@ -18,8 +18,9 @@ const BLOCKS_AT_ONCE: usize = 8;
 const UNKNOWNS: usize = 8;
 /// Fewest measurements that must be believed.
 const BELIEVED_MIN: usize = 6;
-/// What the pictures do not fix stays where it was, within about this: mm, then radians.
-pub(super) const START_SIGMA: [f64; 2] = [5.0, 0.2];
+/// What the pictures do not fix stays where it was, within about so many radii of the wire, and radians.
+const START_RADII: f64 = 3.3;
+const START_RAD: f64 = 0.2;
 /// What is left of that where a pose may lie anywhere.
 const AT_LARGE: f64 = 1e-4;
 
@@ -66,11 +67,19 @@ pub(super) struct Doubt<'a> {
     pub(super) shading_sigma_px: f64,
     /// A direction about which the part has no angle.
     pub(super) along: Option<Vector3<f64>>,
+    /// See [`start_sigma`].
+    pub(super) start_sigma: [f64; 2],
+}
+
+/// Standard deviations of where a pose is started from, in mm and radians, with wire of this radius.
+pub(super) fn start_sigma(radius_mm: f64) -> [f64; 2] {
+    [START_RADII * radius_mm, START_RAD]
 }
 
 /// A step of the pose, and how well the measurements agree on it.
 pub(super) struct Solution {
     normal: Cholesky<f64, Const<UNKNOWNS>>,
+    start_sigma: [f64; 2],
     /// Displacement in mm and rotation in radians.
     pub(super) step: Vector6<f64>,
     /// Root of the weighted mean square of the residuals, in standard deviations.
@@ -90,7 +99,7 @@ impl Solution {
     pub(super) fn inverse_at_large(&self) -> Option<SMatrix<f64, UNKNOWNS, UNKNOWNS>> {
         let lower = self.normal.l();
         let mut normal = lower * lower.transpose();
-        for (i, sigma) in START_SIGMA.iter().flat_map(|sigma| [sigma; 3]).enumerate() {
+        for (i, sigma) in self.start_sigma.iter().flat_map(|sigma| [sigma; 3]).enumerate() {
             normal[(i, i)] -= (1.0 - AT_LARGE) / (sigma * sigma);
         }
         normal.cholesky().map(|normal| normal.inverse())
@@ -194,7 +203,7 @@ impl Equations {
                 }
             }
             for i in 0..UNKNOWNS {
-                let sigma = START_SIGMA.get(i / 3).copied().unwrap_or(doubt.shading_sigma_px);
+                let sigma = doubt.start_sigma.get(i / 3).copied().unwrap_or(doubt.shading_sigma_px);
                 sums.normal[(i, i)] += 1.0 / (sigma * sigma);
             }
             let normal = sums.normal.cholesky()?;
@@ -205,7 +214,8 @@ impl Equations {
             last = Some((normal, (sums.squares / sums.weights).sqrt(), sums.believed));
         }
         let (normal, misfit, believed) = last?;
-        Some(Solution { normal, step: unknowns.fixed_rows::<6>(0).into(), misfit, believed })
+        let start_sigma = doubt.start_sigma;
+        Some(Solution { normal, start_sigma, step: unknowns.fixed_rows::<6>(0).into(), misfit, believed })
     }
 
     fn sum(&self, unknowns: &Unknowns, scale: f64) -> Sums {
@@ -320,7 +330,8 @@ mod tests {
     use rand::{RngExt, SeedableRng};
 
     const SCALES: [f64; 4] = [10.0, 8.0, 6.0, 3.0];
-    const DOUBT: Doubt = Doubt { scales: &SCALES, shading_sigma_px: 0.01, along: None };
+    const DOUBT: Doubt =
+        Doubt { scales: &SCALES, shading_sigma_px: 0.01, along: None, start_sigma: [5.0, START_RAD] };
 
     /// Measurements of which a step explains all but every `wrong`th.
     fn measured(level: Level, step: &Vector6<f64>, count: usize, wrong: usize) -> Equations {

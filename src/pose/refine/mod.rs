@@ -24,7 +24,7 @@ use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, Vector2, Vec
 use covariance::Origin;
 pub use covariance::Spread;
 pub use ends::EndSighting;
-use equations::{Doubt, Equations, MEASUREMENTS_MAX, Measurement, Solution};
+use equations::{Doubt, Equations, MEASUREMENTS_MAX, Measurement, Solution, start_sigma};
 use measure::{measure_ends, measure_outlines};
 pub use params::Params;
 pub use turn::TurnSeen;
@@ -306,6 +306,7 @@ impl Refine {
             scales: &scales,
             shading_sigma_px: self.params.shading_sigma_px,
             along: model.straight_along.map(|a| pose.rotation * a),
+            start_sigma: start_sigma(model.radius_mm),
         })?;
         *pose = moved(pose, &model.centre_mm, &solution.step);
         Some(solution)
