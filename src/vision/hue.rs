@@ -113,7 +113,7 @@ fn luma_weights() -> Vector3<f64> {
 }
 
 /// How often each level was seen, of R, G and B.
-struct Levels([[u16; 256]; 3]);
+struct Levels([[u32; 256]; 3]);
 
 impl Levels {
     const NONE: Self = Self([[0; 256]; 3]);
@@ -127,9 +127,9 @@ impl Levels {
     /// The medians of so many.
     fn medians(&self, count: usize) -> Vector3<f64> {
         let medians = self.0.each_ref().map(|counts| {
-            let mut below = 0;
+            let mut below = 0_usize;
             let median = counts.iter().position(|&times| {
-                below += usize::from(times);
+                below += times as usize;
                 2 * below >= count
             });
             median.unwrap_or(0) as f64
