@@ -155,10 +155,10 @@ pub struct Placed<'a> {
 /// How far apart the axes of two wires must be in height, for one to lie on the other rather than beside it, as a share of how
 /// far apart they are where they touch: the sum of their radii where they cross, less where one hangs over the other's edge.
 const OVER_MIN: f64 = 0.5;
+/// How many standard deviations of the difference in height make it sure.
+const SURE_SIGMAS: f64 = 2.0;
 /// Nearer beside each other than this, in sums of their radii, they do not lie along each other.
 const OVERHANG_MAX: f64 = 0.9;
-/// The same in standard deviations of the height, for it to be sure.
-const SURE_SIGMAS: f64 = 2.0;
 /// How far apart the axes of two wires of about the same height are beside each other at least, in sums of their radii.
 /// Where they lie along each other it is 1, less the error of two places.
 const BESIDE_MIN: f64 = 0.6;
@@ -279,7 +279,8 @@ fn slides_mm(most_mm: f64) -> impl Iterator<Item = f64> {
 /// Why a part cannot be taken, were it alone in the bin.
 fn out_of_reach(params: &Params, placed: &Placed, grasp: &Grasp) -> Option<Blocked> {
     let gripper = &params.gripper;
-    if placed.sigma_mm.max() > params.sigma_mm_max {
+    let is_certain = placed.sigma_mm.max() <= params.sigma_mm_max;
+    if !is_certain {
         return Some(Blocked::Uncertain);
     }
     if grasp.opening_mm > gripper.opening_max_mm {
@@ -337,7 +338,8 @@ impl Crossing {
             let over = OVER_MIN * touching;
             self.first_over |= above > over;
             self.second_over |= above < -over;
-            self.is_unclear |= above.abs() <= surely && beside < BESIDE_MIN;
+            self.is_unclear |= beside < BESIDE_MIN && above.abs() <= OVER_MIN;
+            self.is_unclear |= beside < OVERHANG_MAX && above.abs() <= surely;
         }
     }
 }
@@ -357,7 +359,7 @@ pub fn crossing(params: &Params, first: &Placed, second: &Placed) -> Crossing {
     let (turn, shift) = (from_first.rotation.to_rotation_matrix(), from_first.translation);
     let down = second.left_from_part.rotation.inverse() * down;
     let is_near = |apart: &Vector3<f64>, mm: f64| beside_squared(apart, &down) < mm * mm;
-    let surely = OVER_MIN.max(SURE_SIGMAS * first.sigma_mm.z.hypot(second.sigma_mm.z) / reach_mm);
+    let surely = SURE_SIGMAS * first.sigma_mm.z.hypot(second.sigma_mm.z) / reach_mm;
     let clusters =
         first.model.clusters.iter().flat_map(|a| second.model.clusters.iter().map(move |b| (a, b)));
     for (many, others) in clusters {

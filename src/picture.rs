@@ -106,7 +106,7 @@ impl Traced {
         Ok(in_time)
     }
 
-    /// Has nothing of the last picture any more.
+    /// Has nothing of the last picture any more, but for pixels.
     fn clear(&mut self) {
         self.graph.clear();
         self.image_nodes.clear();
@@ -198,6 +198,9 @@ impl Picture {
     fn binarize(&mut self, frame: &Frame, side: Side, end: Option<Timestamp>) -> Result<bool, Refusal> {
         let Self { decoder, luma, binarize, sizes, halvings, evenness, .. } = self;
         let is_late = || end.is_some_and(Timestamp::is_past);
+        if is_late() {
+            return Ok(false);
+        }
         let raw = raw_of(decoder, frame);
         let refused = |reason| Refusal::Binarize { side, reason };
         binarize.check(raw).map_err(refused)?;
@@ -275,12 +278,16 @@ impl Picture {
         Colours::at(places, &RgbView::with_encoding(raw, binarize.encoding(raw))?, *halvings)
     }
 
-    /// Has these colours stand for grey values from here on.
-    pub(crate) fn write_hue(&mut self, frame: &Frame, colours: &Colours) {
-        let Self { hue, in_hue, decoder, binarize, sizes, halvings, .. } = self;
-        let Some(hue) = hue else { return };
+    /// Works out the grey values in which these colours stand out; says whether there was time.
+    pub(crate) fn write_hue(&mut self, frame: &Frame, colours: &Colours, end: Option<Timestamp>) -> bool {
+        let Self { hue: Some(hue), decoder, binarize, .. } = self else { return false };
         let raw = raw_of(decoder, frame);
-        hue.run(raw, binarize.encoding(raw), colours);
+        hue.run_until(raw, binarize.encoding(raw), colours, end)
+    }
+
+    /// Has what was worked out stand for grey values from here on.
+    pub(crate) fn look_in_hue(&mut self) {
+        let Self { hue: Some(hue), in_hue, sizes, halvings, .. } = self else { return };
         *in_hue = true;
         for times in 1..=*halvings {
             let (larger, smaller) = sizes.split_at_mut(times);
@@ -292,6 +299,15 @@ impl Picture {
     /// Which pixels are object.
     pub(crate) fn range(&self) -> &binarize::Params {
         self.binarize.params()
+    }
+
+    /// Has nothing of its picture any more, which was broken off.
+    pub(crate) fn forget(&mut self) {
+        for Traced { mask, skeleton, .. } in &mut self.sizes {
+            mask.clear();
+            skeleton.clear();
+        }
+        self.sizes.iter_mut().for_each(Traced::clear);
     }
 
     /// Half the width of its wire, in pixels of the size that was looked at; at most 40.

@@ -96,7 +96,7 @@ pub struct Recognition {
     pub parts: Vec<PathBuf>,
     /// Which pixels are part.
     pub colour: ColourRange,
-    /// The parts are the pixels outside the range: dark parts on a light floor.
+    /// The parts are the pixels outside the range; with a threshold that is found: they are dark, on a light floor.
     pub inverted: bool,
     /// Corners of the region of interest in the left picture; empty: all of it.
     pub region_left_px: Vec<[f64; 2]>,

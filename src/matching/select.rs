@@ -220,8 +220,8 @@ pub fn worth(
 ) -> Worth {
     let missing = (verdict.missing[0] + verdict.missing[1]) / 2.0;
     // Of what leaves no doubt some may have been too dim for the mask.
-    let is_hollow = verdict.solid[0].min(verdict.solid[1]) < params.solid_min
-        && !is_certain(fit, verdict, model.ends.len());
+    let is_certain = is_certain(fit, verdict, model.ends.len());
+    let is_hollow = verdict.solid[0].min(verdict.solid[1]) < params.solid_min && !is_certain;
     if missing > params.missing_max
         || verdict.clear[0] + verdict.clear[1] < 2.0 * params.both_sides_min
         || is_hollow
@@ -231,13 +231,13 @@ pub fn worth(
         return Worth::NONE;
     }
     let (free, claimed) = free_and_claimed_mm(model, verdict, claims);
-    let is_crossed_along =
-        is_certain(fit, verdict, model.ends.len()) && !has_claimed_end(model, verdict, claims);
+    // Two wires seldom lie along each other; but where all ends of both are seen they do.
+    let lies_along = is_certain && !has_claimed_end(model, verdict, claims);
     let least = free[0].min(free[1]);
-    if least < params.seen_min * model.length_mm && !is_crossed_along {
+    if least < params.seen_min * model.length_mm && !lies_along {
         return Worth::NONE;
     }
-    let claimed = if is_crossed_along { 0.0 } else { claimed };
+    let claimed = if lies_along { 0.0 } else { claimed };
     // Wire that goes on is no riddle where it is known whose it is.
     let overrun_mm = unclaimed_overrun_mm(model, verdict, claims);
     let px_per_mm = verdict.pieces.first().map_or(1.0, |p| p[0].half_width_px / model.radius_mm).max(1e-3);
@@ -330,6 +330,43 @@ mod tests {
         assert!(worth_mm(0.9, 4) > 80.0 && worth_mm(0.9, 3) > 80.0);
         assert!(worth_mm(0.8, 4) > 80.0);
         assert_eq!(worth_mm(0.8, 3), f64::NEG_INFINITY);
+    }
+
+    #[test]
+    fn what_shows_all_its_ends_stands_where_another_lies_along_it_and_not_where_its_ends_are_anothers() {
+        let part =
+            Part::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts/rod-90.toml")).unwrap();
+        let model = PoseModel::new(&part);
+        let along = model.straight_along.unwrap();
+        // A pixel a millimetre.
+        let pieces: Vec<_> = model
+            .stations
+            .iter()
+            .map(|station| {
+                let x = 150.0 + along.dot(&station.position_mm.coords);
+                [piece(x, 50.0, [0.0, 1.0]); 2]
+            })
+            .collect();
+        let worth_mm = |claimed: std::ops::Range<f64>, ends_seen: u32| {
+            let mut claims = [ClaimMap::new(300, 100), ClaimMap::new(300, 100)];
+            let theirs = pieces.iter().filter(|piece| claimed.contains(&piece[0].expected_px.x));
+            for (side, claims) in claims.iter_mut().enumerate() {
+                claims.claim(theirs.clone().map(|piece| &piece[side]));
+            }
+            let verdict = Verdict {
+                pieces: pieces.clone(),
+                clear: [0.9; 2],
+                solid: [1.0; 2],
+                ends_seen,
+                ends_shown: 2,
+                ..Verdict::default()
+            };
+            worth(&Params::default(), &model, &Fit::default(), &verdict, &claims).now_mm
+        };
+        // All but 15 mm at either end is another's; the whole; and one end.
+        assert!(worth_mm(120.0..180.0, 4) > 20.0);
+        assert_eq!(worth_mm(120.0..180.0, 3), f64::NEG_INFINITY);
+        assert_eq!([worth_mm(100.0..200.0, 4), worth_mm(120.0..200.0, 4)], [f64::NEG_INFINITY; 2]);
     }
 
     #[test]

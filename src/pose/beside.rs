@@ -24,15 +24,11 @@ use nalgebra::{Isometry3, Vector2};
 use super::aim::aim;
 use super::model::PoseModel;
 use super::refine::View;
-use crate::vision::beside::{Beside, median};
+use crate::vision::beside::{BESIDE_PX, Beside, INSIDE, median};
 use crate::vision::bits::nearest;
 
 /// Stations that are asked, about.
 const STATIONS: usize = 10;
-/// Places on wire, in half widths from its middle.
-const INSIDE: [f64; 3] = [-0.5, 0.0, 0.5];
-/// How far beside the wire the floor is looked at, in pixels: behind what lens and JPEG blur.
-const BESIDE_PX: f64 = 3.0;
 
 /// By how many grey levels wire is brighter than the floor beside it; the bright line of glossy dark wire is not asked.
 pub fn contrast(place: &Beside, view: &View) -> f64 {

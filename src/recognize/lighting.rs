@@ -28,6 +28,8 @@ pub(super) struct Lighting {
     pub(super) dark: bool,
     /// How many times as far as in luma outlines may be displaced.
     pub(super) displaced_times: f64,
+    /// Whether it was judged in this pair if grey values stand for colours.
+    pub(super) is_hue_judged: bool,
     /// At which level they are taken, see [`Profiler::with_outlines_at`](crate::pose::section::Profiler::with_outlines_at).
     pub(super) outline_256: u8,
     /// Where the shadows of dark parts fall, see [`ShadowSide::falls`](crate::pose::shadow::ShadowSide::falls); nought where
@@ -38,7 +40,13 @@ pub(super) struct Lighting {
 impl Default for Lighting {
     /// That of dull bright wire under a lamp above.
     fn default() -> Self {
-        Self { dark: false, displaced_times: 1.0, outline_256: HALF_WAY, shadow: Vector2::zeros() }
+        Self {
+            dark: false,
+            displaced_times: 1.0,
+            is_hue_judged: false,
+            outline_256: HALF_WAY,
+            shadow: Vector2::zeros(),
+        }
     }
 }
 

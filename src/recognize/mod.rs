@@ -244,7 +244,7 @@ impl Recognizer {
         out.parts.clear();
         self.search(budget.less(out.spent.iterations).share(SEARCH_SHARE), *seed, out);
         let matched = Timestamp::now();
-        self.judge_colours(pair, !budget.is_over());
+        self.judge_colours(pair, budget.end());
         self.judge_lighting(pair);
         let refine = lit(self.params.refine, self.lighting);
         self.explanations.clear(refine, self.pictures.each_ref().map(Picture::nodes));
@@ -283,6 +283,9 @@ impl Recognizer {
         let frames = [&pair.left, &pair.right];
         let in_time = left? & right? && Picture::agree(&mut self.pictures, frames, end, stages)?;
         let is_empty = self.pictures.iter().any(|picture| picture.graph().edges.is_empty());
+        if !in_time {
+            self.pictures.iter_mut().for_each(Picture::forget);
+        }
         if in_time && !is_empty && pair.left.bytes == pair.right.bytes {
             return Err(Refusal::Same);
         }

@@ -63,9 +63,9 @@ impl Recognizer {
             if grasp.slid_mm != 0.0 {
                 found.slide_to(grasp, &params.grasp, &parts[found.part], explanation);
             }
-            let is_uncertain = found.sigma_mm.max() > params.grasp.sigma_mm_max;
+            let is_certain = found.sigma_mm.max() <= params.grasp.sigma_mm_max;
             let uncertain = match found.proven {
-                true => is_uncertain.then_some(Blocked::Uncertain),
+                true => (!is_certain).then_some(Blocked::Uncertain),
                 false => Some(Blocked::Unproven),
             };
             found.blocked = blocked.or(uncertain).or(turned).or_else(|| {
@@ -86,7 +86,8 @@ impl Recognizer {
         }
         // What was moved since it was judged may show a node less. It is in the way of others none the less.
         out.parts.retain(|f| f.fitness < params.search.fitness_max);
-        // What is free of others comes before what may have something on it, and what may not be there at all last.
+        // What is free of others comes before what may have something on it, and that which may not be there at all last. What has no
+        // room is mostly free of others, proven or not; what is proven and covered hardly ever.
         let rank = |f: &FoundPart| match f.blocked {
             None => 0,
             Some(Blocked::Covered | Blocked::Uncertain) if !f.proven => 4,

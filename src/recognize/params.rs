@@ -43,16 +43,9 @@ pub struct Params {
 }
 
 impl Params {
-    /// Whether parts are darker than the floor as far as the colours say, in either picture: black is theirs.
+    /// Whether parts may be darker than the floor, in either picture: a range of colours does not tell.
     pub fn may_be_dark(&self) -> bool {
-        self.binarize.iter().any(|range| {
-            let has_black = match range.colour {
-                ColourRange::Auto => false,
-                ColourRange::Rgb { min, .. } => min == [0; 3],
-                ColourRange::Grey { min, .. } => min == 0,
-            };
-            has_black != range.inverted
-        })
+        self.binarize.iter().any(|range| range.inverted || range.colour != ColourRange::Auto)
     }
 }
 

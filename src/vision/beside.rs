@@ -30,9 +30,9 @@ use super::graph::Graph;
 const STRIDE: usize = 5;
 const ARM: usize = 4;
 /// How far beside the wire the floor is looked at, in pixels: behind what lens and JPEG blur.
-const BESIDE_PX: f64 = 3.0;
+pub(crate) const BESIDE_PX: f64 = 3.0;
 /// Places on wire, in half widths from its middle: glossy dark wire has a bright line there.
-const INSIDE: [f64; 3] = [-0.6, 0.0, 0.6];
+pub(crate) const INSIDE: [f64; 3] = [-0.5, 0.0, 0.5];
 
 /// Places across a wire: on it, and on the floor at one side.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -25,10 +25,13 @@ use super::bits::nearest;
 use super::halve::in_whole;
 use crate::frame::colour::{LUMA_SHIFT, LUMA_WEIGHTS};
 use crate::frame::{ColourEncoding, Frame, PixelFormat, RgbView};
+use crate::time::Timestamp;
 
 /// Grey values of the floor's colour, and of the parts'.
 const FLOOR: f64 = 64.0;
 const PARTS: f64 = 192.0;
+/// After so many rows it is asked how late it is.
+const CLOCK_STRIDE: usize = 16;
 /// What differs by less, in levels, differs by rounding.
 const ROUNDING: f64 = 1.0;
 /// Places on wire, and as many beside it, that tell colours.
@@ -87,8 +90,11 @@ impl Colours {
 
     /// Whether grey values tell parts from the floor better by colour than by luma, in both pictures of a pair.
     pub fn tell_more_than_luma(both: [&Self; 2]) -> bool {
-        let mean = |of: fn(&Self) -> f64| both.iter().map(|colours| of(colours)).sum::<f64>() / 2.0;
-        let (luma, hue) = (mean(Self::luma_contrast), mean(Self::hue_contrast));
+        let hue = both[0].hue_contrast().min(both[1].hue_contrast());
+        let lumas = both.map(Self::luma_contrast);
+        // Where one picture shows parts brighter and the other darker, luma serves in neither.
+        let is_torn = lumas[0] * lumas[1] < 0.0 && lumas.iter().all(|luma| luma.abs() >= LUMA_LEAST);
+        let luma = if is_torn { 0.0 } else { (lumas[0] + lumas[1]) / 2.0 };
         let [least, ratio] = match luma {
             _ if luma.abs() < LUMA_LEAST => [HUE_LEAST, 0.0],
             _ if luma < 0.0 => HUE_OF_DARK,
@@ -153,6 +159,18 @@ impl HuePlane {
     /// The grey values of `frame` in which parts and floor of these colours differ most: 64 is the floor's colour and 192 the
     /// parts'. All are 64 where they hardly differ but in brightness, or the frame is compressed, short or of another size.
     pub fn run(&mut self, frame: &Frame, encoding: ColourEncoding, colours: &Colours) -> &Frame {
+        self.run_until(frame, encoding, colours, None);
+        &self.plane
+    }
+
+    /// As [`HuePlane::run`], broken off at this moment where it is given; says whether there was time.
+    pub fn run_until(
+        &mut self,
+        frame: &Frame,
+        encoding: ColourEncoding,
+        colours: &Colours,
+        end: Option<Timestamp>,
+    ) -> bool {
         let across = colours.across();
         let scale = (PARTS - FLOOR) / across.norm_squared();
         let weights = (across * scale).map(|w| w as f32);
@@ -168,7 +186,7 @@ impl HuePlane {
             RgbView::with_encoding(frame, encoding).filter(|_| is_of_size && across.norm() >= ROUNDING);
         let Some(pixels) = pixels else {
             plane.bytes.fill(FLOOR as u8);
-            return plane;
+            return true;
         };
         // Rounded; what is out of range saturates.
         let grey = |[r, g, b]: [u8; 3]| {
@@ -177,17 +195,18 @@ impl HuePlane {
             let gloss = no_gloss + per_level * (luma.x * r + luma.y * g + luma.z * b);
             hue.max(gloss.min(PARTS as f32)) as u8
         };
-        let rows = plane.bytes.chunks_exact_mut(plane.width).enumerate();
-        if frame.format == PixelFormat::Rgb {
-            for ((_, out), row) in rows.zip(frame.bytes.chunks(frame.stride_bytes)) {
-                out.iter_mut().zip(row.as_chunks().0).for_each(|(out, rgb)| *out = grey(*rgb));
+        for (y, out) in plane.bytes.chunks_exact_mut(plane.width).enumerate() {
+            if y.is_multiple_of(CLOCK_STRIDE) && end.is_some_and(Timestamp::is_past) {
+                return false;
             }
-        } else {
-            for (y, out) in rows {
+            if frame.format == PixelFormat::Rgb {
+                let row = &frame.bytes[y * frame.stride_bytes..][..3 * frame.width];
+                out.iter_mut().zip(row.as_chunks().0).for_each(|(out, rgb)| *out = grey(*rgb));
+            } else {
                 out.iter_mut().enumerate().for_each(|(x, out)| *out = grey(pixels.at(x, y)));
             }
         }
-        plane
+        true
     }
 
     /// The plane of the last run.
@@ -268,6 +287,9 @@ mod tests {
         assert_eq!(tell([180, 180, 180], [190, 50, 50]), Some(true), "dark and red");
         assert_eq!(tell([180, 180, 180], [60, 50, 50]), Some(false), "dark");
         assert_eq!(tell([90, 90, 90], [108, 84, 84]), Some(true), "pale");
+        let of = |parts: [f64; 3]| Colours { parts: parts.into(), floor: Vector3::repeat(90.0) };
+        let [pale, grey] = [of([108.0, 84.0, 84.0]), of([90.0, 90.0, 91.0])];
+        assert!(!Colours::tell_more_than_luma([&pale, &grey]), "nothing in one of them");
         let (frame, _) = picture([9; 3], [9; 3], PixelFormat::Rgb);
         assert_eq!(colours(&frame, &[]), None, "no wire");
     }

@@ -149,12 +149,6 @@ impl Refine {
         self.ends.iter().flatten().flatten().any(|end| end.beyond_px.is_some())
     }
 
-    /// How many free ends of the part either picture shows, at the pose looked at last.
-    pub fn shown_ends(&self) -> usize {
-        let is_shown = |end: &&[Option<EndSighting>; 2]| end.iter().flatten().any(|e| e.beyond_px.is_some());
-        self.ends.iter().filter(is_shown).count()
-    }
-
     /// Refines `start`, a [coarse](Refine::coarse) pose, with the grey values of both pictures. `None` where too little
     /// of the part is seen to hold it.
     pub fn fine(&mut self, model: &PoseModel, start: &Isometry3<f64>, views: &[View; 2]) -> Option<Fit> {

@@ -241,23 +241,26 @@ impl Explanations {
                 std::mem::swap(&mut self.standing, &mut self.tried);
                 self.claim_standing();
             }
-            self.readmit(parts, params);
-            return in_time;
+            return in_time && self.readmit(parts, params, exchanging);
         }
-        self.readmit(parts, params);
-        true
+        self.readmit(parts, params, exchanging)
     }
 
-    /// Of those that were dropped for others those stand after all which explain enough that the others do not.
-    fn readmit(&mut self, parts: &[Prepared], params: &select::Params) {
-        loop {
+    /// Of those that were dropped for others those stand after all which explain enough that the others do not. Says whether
+    /// there was time for it.
+    fn readmit(&mut self, parts: &[Prepared], params: &select::Params, exchanging: &mut Watch) -> bool {
+        while self.list[..self.count].iter().any(|e| e.is_dropped) {
+            if exchanging.is_over() {
+                return false;
+            }
             let dropped = (0..self.count).filter(|&k| self.list[k].is_dropped && !self.standing.contains(&k));
             let worth_mm = |k: usize| self.list[k].worth(parts, params, &self.claims).now_mm;
             let most = dropped.map(|k| (k, worth_mm(k))).max_by(|a, b| a.1.total_cmp(&b.1));
-            let Some((index, _)) = most.filter(|(_, worth_mm)| *worth_mm > PART_MM) else { return };
+            let Some((index, _)) = most.filter(|(_, worth_mm)| *worth_mm > PART_MM) else { break };
             self.claim(index);
             self.standing.push(index);
         }
+        true
     }
 
     /// Leaves out one that stands, and other places of the same part along its wire, but nothing else any more.

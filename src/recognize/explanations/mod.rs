@@ -19,7 +19,7 @@ use crate::matching::problem::StereoNode;
 use crate::matching::select::{self, Worth};
 use crate::part::NODES_MAX;
 use crate::pose::model::PoseModel;
-use crate::pose::refine::{self, Fit, Refine, TurnSeen, View};
+use crate::pose::refine::{self, EndSighting, Fit, Refine, TurnSeen, View};
 use crate::pose::verify::{Verdict, verify};
 use crate::rig::Rig;
 use crate::time::Watch;
@@ -232,7 +232,7 @@ impl Explanations {
             if !self.refine.shows_end() && self.endless.len() < EXPLANATIONS_MAX {
                 self.endless.push((*hypothesis, pose));
             } else {
-                self.conclude(scene, hypothesis, &pose);
+                self.conclude(scene, hypothesis, &pose, looking);
             }
         }
         self.claim_sound(0, scene.parts);
@@ -245,7 +245,7 @@ impl Explanations {
                 break;
             }
             if !self.is_explained(scene, hypothesis.part, pose) {
-                self.conclude(scene, hypothesis, pose);
+                self.conclude(scene, hypothesis, pose, looking);
             }
         }
         self.endless = endless;
@@ -254,7 +254,13 @@ impl Explanations {
     }
 
     /// Follows a coarse pose to where it leads, each but once.
-    fn conclude(&mut self, scene: &Scene, hypothesis: &Hypothesis, coarse: &Isometry3<f64>) {
+    fn conclude(
+        &mut self,
+        scene: &Scene,
+        hypothesis: &Hypothesis,
+        coarse: &Isometry3<f64>,
+        looking: &mut Watch,
+    ) {
         if self.count == EXPLANATIONS_MAX {
             return;
         }
@@ -268,7 +274,7 @@ impl Explanations {
             }
             return;
         }
-        let led_to = self.refine_to(scene, hypothesis, coarse);
+        let led_to = self.refine_to(scene, hypothesis, coarse, looking);
         if self.refined.len() < REFINED_MAX {
             self.refined.push(Refined { part, coarse: *coarse, led_to });
         }
@@ -280,12 +286,13 @@ impl Explanations {
         scene: &Scene,
         hypothesis: &Hypothesis,
         coarse: &Isometry3<f64>,
+        looking: &mut Watch,
     ) -> Option<usize> {
         let prepared = &scene.parts[hypothesis.part];
         let model = &prepared.pose_model;
         let mut fit = self.refine.fine(model, coarse, &scene.views)?;
-        if fit.misfit > DOUBTFUL_MISFIT && self.refine.shown_ends() > 1 {
-            fit = self.refit(model, coarse, fit, scene)?;
+        if fit.misfit > DOUBTFUL_MISFIT {
+            fit = self.refit(model, coarse, fit, scene, looking)?;
         }
         let pose = &fit.left_from_part;
         if prepared.is_too_steep(pose, &scene.down, scene.slope_rad_max) {
@@ -330,30 +337,41 @@ impl Explanations {
         Some(index)
     }
 
-    /// A fit that explains the pictures much better than a doubtful one, where one of the ends is not what it was taken for.
+    /// A fit that explains the pictures much better than a doubtful one, where one of the ends is not what it was taken for; else the
+    /// doubtful one, or what time has left of it.
     fn refit(
         &mut self,
         model: &PoseModel,
         coarse: &Isometry3<f64>,
         doubtful: Fit,
         scene: &Scene,
+        looking: &mut Watch,
     ) -> Option<Fit> {
-        let mut best = doubtful;
-        for end in 0..model.ends.len() {
-            let start = &doubtful.left_from_part;
+        let is_shown = |[left, right]: &[Option<EndSighting>; 2]| {
+            [left, right].into_iter().flatten().any(|end| end.beyond_px.is_some())
+        };
+        let ends = self.refine.ends().iter().enumerate().filter(|(_, end)| is_shown(end));
+        let shown: ArrayVec<usize, NODES_MAX> = ends.map(|(index, _)| index).collect();
+        if shown.len() < 2 {
+            return Some(doubtful);
+        }
+        let start = &doubtful.left_from_part;
+        let mut best = None;
+        let mut least = BETTER_MISFIT * doubtful.misfit;
+        for end in shown {
+            if looking.is_over() {
+                return None;
+            }
             if let Some(fit) = self.refine.without_end(model, start, &scene.views, end)
-                && fit.misfit < BETTER_MISFIT * best.misfit
-                && fit.believed >= best.believed
+                && fit.misfit < least
+                && fit.believed >= doubtful.believed
             {
-                best = fit;
+                (best, least) = (Some(fit.left_from_part), fit.misfit);
             }
         }
         // What is seen is what is seen from there.
-        if best == doubtful {
-            self.refine.fine(model, coarse, &scene.views)
-        } else {
-            self.refine.again(model, &best.left_from_part, &scene.views)
-        }
+        let again = best.and_then(|pose| self.refine.again(model, &pose, &scene.views));
+        again.or_else(|| self.refine.fine(model, coarse, &scene.views))
     }
 
     /// Another hypothesis has led to this explanation. Where both pictures show an end of it, what starts from that end
