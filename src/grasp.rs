@@ -338,8 +338,7 @@ impl Crossing {
             let over = OVER_MIN * touching;
             self.first_over |= above > over;
             self.second_over |= above < -over;
-            self.is_unclear |= beside < BESIDE_MIN && above.abs() <= OVER_MIN;
-            self.is_unclear |= beside < OVERHANG_MAX && above.abs() <= surely;
+            self.is_unclear |= beside < BESIDE_MIN && above.abs() <= surely;
         }
     }
 }
@@ -359,7 +358,7 @@ pub fn crossing(params: &Params, first: &Placed, second: &Placed) -> Crossing {
     let (turn, shift) = (from_first.rotation.to_rotation_matrix(), from_first.translation);
     let down = second.left_from_part.rotation.inverse() * down;
     let is_near = |apart: &Vector3<f64>, mm: f64| beside_squared(apart, &down) < mm * mm;
-    let surely = SURE_SIGMAS * first.sigma_mm.z.hypot(second.sigma_mm.z) / reach_mm;
+    let surely = OVER_MIN.max(SURE_SIGMAS * first.sigma_mm.z.hypot(second.sigma_mm.z) / reach_mm);
     let clusters =
         first.model.clusters.iter().flat_map(|a| second.model.clusters.iter().map(move |b| (a, b)));
     for (many, others) in clusters {
