@@ -2,8 +2,8 @@
 //! at all.
 //!
 //! A threshold that is found looks for bright or for dark parts as it is told. A range of colours may be the parts' or, inverted,
-//! the floor's, and takes walls and shadows as well. The pictures tell, where rough poses have their wire, or where these are too
-//! few, wherever there is any.
+//! the floor's, and takes walls and shadows as well. The pictures tell: where rough poses have their wire, and all along the graphs'
+//! edges, for in clutter such poses are few.
 
 use super::lighting::Lighting;
 use super::views::views;
@@ -66,9 +66,11 @@ impl Recognizer {
         };
         for ((places, view), picture) in places.iter_mut().zip(&views).zip(&*pictures) {
             let poses = pool.iter().take(POSES_MAX).map(|h| (&parts[h.part].pose_model, &h.left_from_part));
-            let of_poses = || poses.flat_map(|(model, pose)| along_part(model, pose, view));
             match source {
-                Source::RoughPoses => places.extend(of_poses().take(PLACES_MAX)),
+                Source::RoughPoses => {
+                    let of_poses = poses.flat_map(|(model, pose)| along_part(model, pose, view));
+                    places.extend(of_poses.take(PLACES_MAX));
+                }
                 Source::Graphs => {
                     places.extend(along_edges(picture.graph(), picture.mask()).take(PLACES_MAX));
                 }
@@ -106,8 +108,8 @@ impl Recognizer {
         let Some(views) = views(pictures, rig_of(scales, pictures), pair, Lighting::default()) else {
             return 0.0;
         };
-        let contrasts = places.iter().zip(&views);
-        let contrasts = contrasts.flat_map(|(places, view)| places.iter().map(|place| contrast(place, view)));
+        let of_both = places.iter().zip(&views);
+        let contrasts = of_both.flat_map(|(places, view)| places.iter().map(|place| contrast(place, view)));
         contrasts.filter(|c| c.abs() >= CONTRAST_MIN).map(|c| c * c.abs()).sum()
     }
 }
