@@ -24,7 +24,7 @@ use nalgebra::{Isometry3, Vector2};
 use super::aim::aim;
 use super::model::PoseModel;
 use super::refine::View;
-use crate::vision::beside::{BESIDE_PX, Beside, INSIDE, median};
+use crate::vision::beside::{BESIDE_PX, Beside, INSIDE};
 use crate::vision::bits::nearest;
 
 /// Stations that are asked, about.
@@ -33,7 +33,9 @@ const STATIONS: usize = 10;
 /// By how many grey levels wire is brighter than the floor beside it; the bright line of glossy dark wire is not asked.
 pub fn contrast(place: &Beside, view: &View) -> f64 {
     let luma = |px: &Vector2<f64>| f64::from(view.profiler.luma.sample(px.x as f32, px.y as f32));
-    median(place.wire_px.each_ref().map(luma)) - luma(&place.floor_px)
+    let mut wire = place.wire_px.each_ref().map(luma);
+    wire.sort_unstable_by(f64::total_cmp);
+    wire[1] - luma(&place.floor_px)
 }
 
 /// Places along a part in about this pose where the binary picture shows its wire, on either side of it where it shows none.

@@ -43,11 +43,6 @@ pub struct Beside {
     pub floor_px: Vector2<f64>,
 }
 
-/// The one in the middle.
-pub(crate) fn median([a, b, c]: [f64; 3]) -> f64 {
-    a.min(b).max(a.max(b).min(c))
-}
-
 /// Places all along the edges of `graph`, on either side of them where `mask` shows nothing.
 pub fn along_edges<'a>(graph: &'a Graph, mask: &'a BitImage) -> impl Iterator<Item = Beside> + 'a {
     graph.edges.iter().flat_map(move |edge| {

@@ -188,7 +188,7 @@ impl Decoder {
             let (wanted_width, wanted_height) = (self.raw.width, self.raw.height);
             DecodeError::Size { width, height, wanted_width, wanted_height }
         };
-        match decode(self.level, &mut self.baseline, (jpeg, end), self.output, &mut self.raw.bytes) {
+        match decode(self.level, &mut self.baseline, jpeg, end, self.output, &mut self.raw.bytes) {
             Ok(()) => {}
             Err(Fault::Unsupported) => decode_unusual(jpeg, self.output, &mut self.raw, bytes)?,
             Err(Fault::Damaged(reason)) => return Err(DecodeError::Damaged { bytes, reason: reason.into() }),
@@ -206,18 +206,19 @@ impl Decoder {
 fn decode(
     level: Level,
     baseline: &mut Baseline,
-    input: (&[u8], Option<Timestamp>),
+    jpeg: &[u8],
+    end: Option<Timestamp>,
     output: Output,
     out: &mut Vec<u8>,
 ) -> Result<(), Fault> {
     match level {
         #[cfg(target_arch = "x86_64")]
         // SAFETY: `with_level` takes no level above what `Level::detect` found on this machine.
-        Level::Avx512 => unsafe { decode_avx512(baseline, input, output, out) },
+        Level::Avx512 => unsafe { decode_avx512(baseline, jpeg, end, output, out) },
         #[cfg(target_arch = "x86_64")]
         // SAFETY: as above.
-        Level::Avx2 => unsafe { decode_avx2(baseline, input, output, out) },
-        _ => decode_anywhere(idct::Plain, baseline, input, output, out),
+        Level::Avx2 => unsafe { decode_avx2(baseline, jpeg, end, output, out) },
+        _ => decode_anywhere(idct::Plain, baseline, jpeg, end, output, out),
     }
 }
 
@@ -226,13 +227,14 @@ fn decode(
 #[target_feature(enable = "avx2,bmi1,bmi2,avx512f,avx512bw,avx512dq,avx512vl")]
 fn decode_avx512(
     baseline: &mut Baseline,
-    input: (&[u8], Option<Timestamp>),
+    jpeg: &[u8],
+    end: Option<Timestamp>,
     output: Output,
     out: &mut Vec<u8>,
 ) -> Result<(), Fault> {
     // SAFETY: this function's own condition.
     let kernel = unsafe { idct::Avx512::new() };
-    decode_anywhere(kernel, baseline, input, output, out)
+    decode_anywhere(kernel, baseline, jpeg, end, output, out)
 }
 
 /// [`decode_anywhere`] compiled for AVX2.
@@ -240,24 +242,25 @@ fn decode_avx512(
 #[target_feature(enable = "avx2,bmi1,bmi2")]
 fn decode_avx2(
     baseline: &mut Baseline,
-    input: (&[u8], Option<Timestamp>),
+    jpeg: &[u8],
+    end: Option<Timestamp>,
     output: Output,
     out: &mut Vec<u8>,
 ) -> Result<(), Fault> {
     // SAFETY: this function's own condition.
     let kernel = unsafe { idct::Avx2::new() };
-    decode_anywhere(kernel, baseline, input, output, out)
+    decode_anywhere(kernel, baseline, jpeg, end, output, out)
 }
 
 #[inline(always)]
 fn decode_anywhere(
     kernel: impl Kernel,
     baseline: &mut Baseline,
-    input: (&[u8], Option<Timestamp>),
+    jpeg: &[u8],
+    end: Option<Timestamp>,
     output: Output,
     out: &mut Vec<u8>,
 ) -> Result<(), Fault> {
-    let (jpeg, end) = input;
     baseline.read(kernel, jpeg, output == Output::Grey, end)?;
     match output {
         Output::Rgb => baseline.write_rgb(out),

@@ -1,7 +1,7 @@
 //! Parts of another colour than the floor but as bright: a plane of grey values in which they stand out.
 //!
-//! Takes a raw [`Frame`] in colour, and what colours parts and floor have in it; gives a grey frame that [`HuePlane`] owns. What is measured in grey values (ends,
-//! outlines) is measured in luma, which cameras send in full resolution and with the least noise; red wire on a green floor has
+//! Takes a raw [`Frame`] in colour, and what colours parts and floor have in it; gives a grey frame that [`HuePlane`] owns. What is
+//! measured in grey values (ends, outlines) is measured in luma, which cameras send in full resolution and with the least noise; red wire on a green floor has
 //! none to show. Its colour is then held against the floor's: of the way from the floor's colour to the parts', that which is
 //! across the floor's own, so that shadows and light that falls off leave a floor as it is.
 //!
@@ -20,7 +20,7 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::beside::{Beside, median};
+use super::beside::Beside;
 use super::bits::nearest;
 use super::halve::in_whole;
 use crate::frame::colour::{LUMA_SHIFT, LUMA_WEIGHTS};
@@ -69,9 +69,13 @@ impl Colours {
         };
         let [mut parts, mut floor] = [Levels::NONE; 2];
         for Beside { wire_px, floor_px } in places {
-            let [a, b, c] = wire_px.map(colour_at);
+            let wire = wire_px.map(colour_at);
             // Gloss is not the wire's colour.
-            parts.add([0, 1, 2].map(|k| median([a, b, c].map(|rgb| f64::from(rgb[k]))) as u8));
+            parts.add([0, 1, 2].map(|channel| {
+                let mut levels = wire.map(|rgb| rgb[channel]);
+                levels.sort_unstable();
+                levels[1]
+            }));
             floor.add(colour_at(*floor_px));
         }
         let count = places.len();
