@@ -7,8 +7,10 @@ use nalgebra::{Point3, Vector3};
 use crate::part::Part;
 
 /// The wire of a bent part has two points a thickness up to this length, in thicknesses: it consists of short pieces, whose
-/// direction few points would tell. Others have one.
+/// direction few points would tell. Other wire has one, of short parts more: so many in all, but no more than four a thickness.
 const DENSE_THICKNESSES_MAX: f64 = 128.0;
+const STATIONS_MIN: f64 = 20.0;
+const PER_THICKNESS_MAX: f64 = 4.0;
 
 /// From this angle in radians on, over a thickness, a wire bends.
 const BEND_RAD: f64 = 0.09;
@@ -86,10 +88,25 @@ pub struct PoseModel {
 impl PoseModel {
     /// Works out the stations of `part`.
     pub fn new(part: &Part) -> Self {
+        let thicknesses = thicknesses(part);
+        let per_thickness = if !part.is_straight() && thicknesses <= DENSE_THICKNESSES_MAX {
+            2
+        } else {
+            (STATIONS_MIN / thicknesses).ceil().clamp(1.0, PER_THICKNESS_MAX) as usize
+        };
+        Self::with_stations(part, per_thickness)
+    }
+
+    /// The same, with at least two stations a thickness of straight wire, too, unless it is very long: where others lie across
+    /// much of it, few of one would be left.
+    pub fn dense(part: &Part) -> Self {
+        let sparse = Self::new(part);
+        let is_dense = sparse.per_thickness > 1 || thicknesses(part) > DENSE_THICKNESSES_MAX;
+        if is_dense { sparse } else { Self::with_stations(part, 2) }
+    }
+
+    fn with_stations(part: &Part, per_thickness: usize) -> Self {
         let radius_mm = part.thickness_mm / 2.0;
-        let wire_mm = (0..part.edges.len()).map(|edge| part.edge_length_mm(edge)).sum::<f64>();
-        let is_dense = !part.is_straight() && wire_mm <= DENSE_THICKNESSES_MAX * part.thickness_mm;
-        let per_thickness = if is_dense { 2 } else { 1 };
         let step_mm = part.thickness_mm / per_thickness as f64;
         let joints: Vec<Point3<f64>> = (0..part.nodes.len())
             .filter(|&n| part.degree(n) > 1)
@@ -132,6 +149,11 @@ impl PoseModel {
             centre_mm: centre.into(),
         }
     }
+}
+
+/// Length of a part's wire in thicknesses.
+fn thicknesses(part: &Part) -> f64 {
+    (0..part.edges.len()).map(|edge| part.edge_length_mm(edge)).sum::<f64>() / part.thickness_mm
 }
 
 /// Tells straight pieces of wire apart; the stations lie so many thicknesses from each other. Wire that bends little from one
@@ -206,6 +228,28 @@ fn free_ends(part: &Part, step_mm: f64) -> Vec<FreeEnd> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn short_and_bent_wire_has_stations_enough_and_dense_wire_twice_as_many() {
+        let per_thickness = |length_mm: f64, via: &str| {
+            let (grasp, closing) =
+                if via.is_empty() { ([1.0, 0.0, 0.0], [0, 1, 0]) } else { ([0.0, 10.0, 0.0], [1, 0, 0]) };
+            let text = format!(
+                "name = 'wire'\nthickness_mm = 2.0\n\
+                 node = [{{ name = 'a', position_mm = [0, 0, 0] }}, {{ name = 'b', position_mm = [{length_mm}, 0, 0] }}]\n\
+                 edge = [{{ from = 'a', to = 'b', via = [{via}] }}]\n\
+                 grasp = {{ position_mm = {grasp:?}, approach = [0, 0, -1], closing = {closing:?}, width_mm = 8.0 }}\n"
+            );
+            let part = Part::parse(&text, "wire.toml").unwrap();
+            [PoseModel::new(&part), PoseModel::dense(&part)].map(|model| model.per_thickness)
+        };
+        assert_eq!(per_thickness(100.0, ""), [1, 2]);
+        assert_eq!(per_thickness(400.0, ""), [1, 1]);
+        assert_eq!(per_thickness(16.0, ""), [3, 3]);
+        assert_eq!(per_thickness(4.0, ""), [4, 4]);
+        assert_eq!(per_thickness(100.0, "[0, 20, 0]"), [2, 2]);
+        assert_eq!(per_thickness(400.0, "[0, 20, 0]"), [1, 1]);
+    }
 
     #[test]
     fn straight_pieces_are_wire_even_of_a_soft_bend() {

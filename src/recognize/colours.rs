@@ -65,7 +65,7 @@ impl Recognizer {
             return;
         };
         for ((places, view), picture) in places.iter_mut().zip(&views).zip(&*pictures) {
-            let poses = pool.iter().take(POSES_MAX).map(|h| (&parts[h.part].pose_model, &h.left_from_part));
+            let poses = pool.iter().take(POSES_MAX).map(|h| (parts[h.part].pose_model(), &h.left_from_part));
             match source {
                 Source::RoughPoses => {
                     let of_poses = poses.flat_map(|(model, pose)| along_part(model, pose, view));

@@ -64,7 +64,7 @@ impl Recognizer {
         if dark {
             shadow_side.clear();
             for hypothesis in pool.iter().take(SHADOWS_MAX) {
-                let model = &parts[hypothesis.part].pose_model;
+                let model = parts[hypothesis.part].pose_model();
                 shadow_side.look_at(model, &hypothesis.left_from_part, &views);
             }
             self.lighting.shadow = shadow_side.falls().unwrap_or_default();

@@ -214,6 +214,7 @@ impl Recognizer {
         stages.match_ns = Timestamp::now().ns_since(looked_at);
         let nodes = |p: &Picture| p.graph().nodes.len();
         (out.nodes_left, out.nodes_right) = (nodes(&self.pictures[0]), nodes(&self.pictures[1]));
+        prepared::suit(&mut self.parts, &self.pictures);
         let (looking, exchanging) = (budget.looks(LOOK_SHARE), budget.exchanges(COMPETE_SHARE));
         let mut job = Job { pair, budget, seed, looking, exchanging, stages };
         let in_time = self.recognise_turned(told_by_ends, &mut job, out);

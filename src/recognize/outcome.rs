@@ -33,7 +33,7 @@ impl Recognizer {
         let lamp_radii = lamp_radii(lights);
         let beside = explanations
             .standing()
-            .map(|e| e.light.displaced(&lamp_radii) * -prepared(e).pose_model.radius_mm);
+            .map(|e| e.light.displaced(&lamp_radii) * -prepared(e).pose_model().radius_mm);
         let beside_mm: ArrayVec<Vector3<f64>, PARTS_MAX> = beside.collect();
         explanations.displace(beside_mm.iter());
         let standing = explanations.standing();
@@ -70,7 +70,7 @@ impl Recognizer {
             };
             found.blocked = blocked.or(uncertain).or(turned).or_else(|| {
                 let prepared = &parts[found.part];
-                if views.as_ref().is_some_and(|v| is_interrupted(&prepared.pose_model, explanation, v)) {
+                if views.as_ref().is_some_and(|v| is_interrupted(prepared.pose_model(), explanation, v)) {
                     return Some(Blocked::Unknown);
                 }
                 let taken = Taken { params: &params.grasp, rig, prepared, explanation, found };

@@ -22,10 +22,15 @@ use crate::rig::Rig;
 /// Distance in pixels within which an image node is a part's end.
 pub(super) const SAME_END_PX: f64 = 5.0;
 
+/// In heaps wires meet or cross at so many times as many places as they end, or more.
+const HEAP_MIN: f64 = 2.5;
+
 /// A part and all that is worked out of it beforehand.
 pub(super) struct Prepared {
     pub(super) part: Part,
-    pub(super) pose_model: PoseModel,
+    /// With stations as they are else, and where wires lie dense.
+    pose_models: [PoseModel; 2],
+    is_dense: bool,
     pub(super) match_model: MatchModel,
     pub(super) stops: Vec<Stop>,
     /// Mean of nodes and bends, which no symmetry moves.
@@ -36,18 +41,39 @@ pub(super) struct Prepared {
     raised_rad: f64,
 }
 
+/// Has the parts' wire looked at as these pictures want it: twice as closely in heaps, where wires meet or cross at many more
+/// places than they end.
+pub(super) fn suit(parts: &mut [Prepared], pictures: &[Picture; 2]) {
+    let count = |role: NodeRole| {
+        let nodes = pictures.iter().flat_map(Picture::nodes);
+        nodes.filter(|node| node.role == role).count()
+    };
+    let is_dense = count(NodeRole::Junction) as f64 > HEAP_MIN * count(NodeRole::End) as f64;
+    parts.iter_mut().for_each(|part| part.is_dense = is_dense);
+}
+
 impl Prepared {
     pub(super) fn new(part: Part) -> Self {
-        let pose_model = PoseModel::new(&part);
+        let pose_models = [PoseModel::new(&part), PoseModel::dense(&part)];
         let match_model = MatchModel::new(&part);
-        let stops = stops_of(&match_model, &pose_model);
+        let stops = stops_of(&match_model, &pose_models[0]);
         let anchors = &match_model.anchors;
         let sum = anchors.iter().map(|a| a.position_mm.coords).sum::<Vector3<f64>>();
         let middle_mm = Point3::from(sum / anchors.len().max(1) as f64);
         let raised_rad = raised_rad(&match_model);
         let mut distances_mm = match_model.distances_mm.clone();
         distances_mm.sort_by(f64::total_cmp);
-        Self { part, pose_model, match_model, stops, middle_mm, distances_mm, raised_rad }
+        Self { part, pose_models, is_dense: false, match_model, stops, middle_mm, distances_mm, raised_rad }
+    }
+
+    /// The part as pose estimation sees it in the pair that is looked at.
+    pub(super) fn pose_model(&self) -> &PoseModel {
+        &self.pose_models[usize::from(self.is_dense)]
+    }
+
+    /// Most stations that [`Self::pose_model`] may have.
+    pub(super) fn stations_max(&self) -> usize {
+        self.pose_models[1].stations.len()
     }
 
     pub(super) fn placed<'a>(
@@ -55,7 +81,7 @@ impl Prepared {
         left_from_part: &'a Isometry3<f64>,
         sigma_mm: Vector3<f64>,
     ) -> Placed<'a> {
-        Placed { part: &self.part, model: &self.pose_model, left_from_part, sigma_mm }
+        Placed { part: &self.part, model: self.pose_model(), left_from_part, sigma_mm }
     }
 
     /// What its rough poses are judged by.
@@ -107,7 +133,7 @@ impl Prepared {
 
     /// Length of wire that must be seen of it, in radii.
     pub(super) fn least_seen_radii(&self, share: f64) -> f64 {
-        share * self.pose_model.length_mm / self.pose_model.radius_mm
+        share * self.pose_model().length_mm / self.pose_model().radius_mm
     }
 
     /// Whether a straight piece of it is steeper than parts lie: `slope_rad_max`, and more for a part that is not flat.
@@ -148,16 +174,16 @@ impl Prepared {
                 distance_mm < near_mm[0]
                     || distance_mm < near_mm[1]
                         && select::is_sound(&e.fit, &e.verdict, e.overrun_mm)
-                        && self.beside_mm(&e.fit.left_from_part, pose) < self.pose_model.radius_mm
+                        && self.beside_mm(&e.fit.left_from_part, pose) < self.pose_model().radius_mm
             }
         })
     }
 
     /// How far two poses of the part lie beside each other; displacement along a straight part does not count.
     fn beside_mm(&self, a: &Isometry3<f64>, b: &Isometry3<f64>) -> f64 {
-        match self.pose_model.straight_along {
+        match self.pose_model().straight_along {
             Some(along) => {
-                let (along, centre) = (a * along, self.pose_model.centre_mm);
+                let (along, centre) = (a * along, self.pose_model().centre_mm);
                 (b * centre - a * centre).cross(&along).norm()
             }
             None => self.distance_mm(a, b),
@@ -167,8 +193,8 @@ impl Prepared {
     /// Whether the part at a pose `b` is but another place along the wire that it has at a pose `a`.
     pub(super) fn is_same_wire(&self, a: &Isometry3<f64>, b: &Isometry3<f64>) -> bool {
         let apart_mm = (a * self.middle_mm - b * self.middle_mm).norm();
-        apart_mm < self.pose_model.length_mm / 2.0
-            && self.beside_mm(a, b) < SAME_WIRE_RADII * self.pose_model.radius_mm
+        apart_mm < self.pose_model().length_mm / 2.0
+            && self.beside_mm(a, b) < SAME_WIRE_RADII * self.pose_model().radius_mm
     }
 
     /// Whether two poses are nearer to each other than so much.

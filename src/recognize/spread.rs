@@ -19,7 +19,7 @@ pub(super) fn sigmas(
     grasp: &Grasp,
 ) -> (Vector3<f64>, f64) {
     let Explanation { covariance, beside_mm, .. } = explanation;
-    let arm = grasp.position_left_mm(params) - pose * prepared.pose_model.centre_mm;
+    let arm = grasp.position_left_mm(params) - pose * prepared.pose_model().centre_mm;
     let shift = covariance.fixed_view::<3, 3>(0, 0);
     let turn = covariance.fixed_view::<3, 3>(3, 3);
     let mixed = covariance.fixed_view::<3, 3>(0, 3);

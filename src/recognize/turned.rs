@@ -99,11 +99,11 @@ impl Recognizer {
             return self.votes.are_apart([left.min(right), left.max(right)], ENDS_WITHOUT_PARTS_MIN);
         }
         // Ends say nothing of parts that have none.
-        if parts.iter().all(|found| self.parts[found.part].pose_model.ends.is_empty()) {
+        if parts.iter().all(|found| self.parts[found.part].pose_model().ends.is_empty()) {
             return false;
         }
         let focal_px = rig_of(&self.scales, &self.pictures).right.focal_px();
-        let centre = |found: &FoundPart| found.left_from_part * self.parts[found.part].pose_model.centre_mm;
+        let centre = |found: &FoundPart| found.left_from_part * self.parts[found.part].pose_model().centre_mm;
         let depth_mm = || parts.iter().map(|found| centre(found).z);
         let [nearest, farthest] = [depth_mm().fold(f64::MAX, f64::min), depth_mm().fold(0.0, f64::max)];
         let [thinnest_mm, thickest_mm] = self.thickness_mm;

@@ -130,7 +130,7 @@ impl Taken<'_> {
 
     /// Pieces that neither picture shows clearly and beside which no recognised part lies.
     fn hidden<'b>(&'b self, claims: &'b [ClaimMap; 2]) -> impl Iterator<Item = &'b [PieceSight; 2]> {
-        let pieces = self.prepared.pose_model.stations.iter().zip(&self.explanation.verdict.pieces);
+        let pieces = self.prepared.pose_model().stations.iter().zip(&self.explanation.verdict.pieces);
         pieces.filter(|(station, _)| !station.at_joint).map(|(_, piece)| piece).filter(move |piece| {
             piece.iter().zip(claims).all(|(seen, claims)| {
                 let PieceSight { sight, expected_px, across, half_width_px, .. } = seen;
@@ -146,7 +146,7 @@ impl Taken<'_> {
     /// nothing lies on it, and no other near it or where the fingers go.
     pub(super) fn stands_alone(&self, pictures: &[Picture; 2], claims: &[ClaimMap; 2]) -> bool {
         let Explanation { fit, verdict, .. } = self.explanation;
-        let model = &self.prepared.pose_model;
+        let model = self.prepared.pose_model();
         let mut pieces = model.stations.iter().zip(&verdict.pieces);
         pieces.all(|(s, piece)| s.at_joint || piece.iter().all(|p| p.sight == Sight::Clear))
             && select::is_certain(fit, verdict, model.ends.len())
@@ -164,11 +164,11 @@ impl Taken<'_> {
         let all = &explanation.verdict.pieces;
         // What is not seen may be anywhere.
         let (Some(grasp_px), Some(first)) = (grasp_px, all.first()) else { return true };
-        let (half_px, radius_mm) = (first[side].half_width_px, prepared.pose_model.radius_mm);
+        let (half_px, radius_mm) = (first[side].half_width_px, prepared.pose_model().radius_mm);
         let px_per_mm = half_px / radius_mm;
         let fingers_px = (grasp::fingers_reach_mm(&params.gripper, &found.grasp) + radius_mm) * px_per_mm;
         // No piece is farther from the grasp than the wire is long.
-        let far_px = fingers_px + prepared.pose_model.length_mm * px_per_mm;
+        let far_px = fingers_px + prepared.pose_model().length_mm * px_per_mm;
         let near = wire_px.filter(|px| {
             let is_within = |of: &Vector2<f64>, reach_px: f64| (px - of).norm_squared() < reach_px * reach_px;
             if !is_within(&grasp_px, far_px) {

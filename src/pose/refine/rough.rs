@@ -9,8 +9,9 @@ use crate::pose::end::EndLook;
 use crate::pose::model::PoseModel;
 use crate::pose::section::{is_sure, mask_run};
 
-/// Every so many stations are looked at while the pose is rough, but for parts of short pieces.
-const COARSE_STRIDE: usize = 3;
+/// Once in so many thicknesses straight wire is looked at while the pose is rough, but at no fewer places than this.
+const COARSE_THICKNESSES: usize = 3;
+const COARSE_STATIONS_MIN: usize = 10;
 /// A rough pose that moved by less than this, in radii of the wire, need not be moved again before it is refined.
 const COARSE_SETTLED_RADII: f64 = 1.5;
 /// How far the outlines are looked for around a rough pose, and the residuals at which belief has halved, in pixels.
@@ -110,9 +111,12 @@ impl Refine {
     }
 }
 
-/// Every so many stations are looked at while the pose is rough.
+/// Every so many stations are looked at while the pose is rough; all of parts of short pieces.
 fn coarse_stride(model: &PoseModel) -> usize {
-    if model.per_thickness == 1 { COARSE_STRIDE } else { 1 }
+    if model.straight_along.is_none() && model.per_thickness > 1 {
+        return 1;
+    }
+    (COARSE_THICKNESSES * model.per_thickness).min(model.stations.len() / COARSE_STATIONS_MIN).max(1)
 }
 
 /// How far a small twist about the part's centre moves its ends, at most.

@@ -38,7 +38,7 @@ impl Explanations {
         nearly: bool,
     ) {
         self.compete(parts, params, |explanation, worth| {
-            let model = &parts[explanation.hypothesis.part].pose_model;
+            let model = parts[explanation.hypothesis.part].pose_model();
             let Worth { now_mm, at_most_mm } = worth;
             // A wire that goes on does so in both pictures: one piece of it in one of them, a radius, is none. Half a piece
             // more, for what is left of a difference.
@@ -82,7 +82,7 @@ impl Explanations {
         }
         for &index in &self.standing {
             let Explanation { hypothesis, verdict, light, .. } = &mut self.list[index];
-            *light = Light::on(&parts[hypothesis.part].pose_model, verdict, views);
+            *light = Light::on(parts[hypothesis.part].pose_model(), verdict, views);
         }
         self.prove(parts);
         if self.drop_unlikely(parts) {
@@ -96,7 +96,7 @@ impl Explanations {
         for k in 0..self.standing.len() {
             let index = self.standing[k];
             let Explanation { hypothesis, fit, verdict, .. } = &self.list[index];
-            let model = &parts[hypothesis.part].pose_model;
+            let model = parts[hypothesis.part].pose_model();
             let overrun_mm = select::unclaimed_overrun_mm(model, verdict, &self.claims);
             self.list[index].is_proven =
                 select::is_proven(model, fit, verdict, overrun_mm) && !self.may_be_kin(index, parts);
@@ -117,7 +117,7 @@ impl Explanations {
             |index: &usize| above(index).zip(usual).is_some_and(|(above, usual)| above < DIM_SHARE * usual);
         let placed = |index: usize| {
             let Explanation { hypothesis, fit, .. } = &list[index];
-            (&parts[hypothesis.part].pose_model, &fit.left_from_part)
+            (parts[hypothesis.part].pose_model(), &fit.left_from_part)
         };
         self.tried.clone_from(&self.standing);
         let lies_in_another = |&index: &usize| {
@@ -160,7 +160,7 @@ impl Explanations {
             for &other in &standing[..k] {
                 let Ok([a, b]) = self.list.get_disjoint_mut([one, other]) else { continue };
                 let [mut a, mut b] = [a, b].map(|e| Placed {
-                    model: &parts[e.hypothesis.part].pose_model,
+                    model: parts[e.hypothesis.part].pose_model(),
                     left_from_part: &mut e.fit.left_from_part,
                     covariance: &mut e.covariance,
                 });
@@ -182,7 +182,8 @@ impl Explanations {
     fn centre(&mut self, index: usize, parts: &[Prepared], views: &[View; 2]) -> bool {
         let Self { list, refine, .. } = self;
         let Explanation { hypothesis, fit, verdict, covariance, turn, .. } = &mut list[index];
-        let Prepared { pose_model, stops, .. } = &parts[hypothesis.part];
+        let prepared = &parts[hypothesis.part];
+        let (pose_model, stops) = (prepared.pose_model(), &prepared.stops);
         if verdict.ends_shown > 0 {
             return false;
         }
@@ -294,7 +295,7 @@ impl Explanations {
     /// Whether one that stands leaves doubt, and rivals are near.
     fn has_rivals(&self, index: usize, parts: &[Prepared]) -> bool {
         let place = |e: &Explanation| {
-            let model = &parts[e.hypothesis.part].pose_model;
+            let model = parts[e.hypothesis.part].pose_model();
             (e.fit.left_from_part * model.centre_mm, model.length_mm / 2.0)
         };
         let standing = &self.list[index];
@@ -356,7 +357,7 @@ impl Explanations {
     fn together_mm(&self, parts: &[Prepared], params: &select::Params) -> f64 {
         let worths = self.standing.iter().map(|&index| {
             let Explanation { hypothesis, verdict, stood_mm, .. } = &self.list[index];
-            let model = &parts[hypothesis.part].pose_model;
+            let model = parts[hypothesis.part].pose_model();
             let overrun_mm = select::unclaimed_overrun_mm(model, verdict, &self.claims);
             stood_mm - params.against * overrun_mm - PART_MM
         });
@@ -391,7 +392,7 @@ impl Explanations {
 impl Explanation {
     /// What it is worth, given what is claimed.
     pub(super) fn worth(&self, parts: &[Prepared], params: &select::Params, claims: &[ClaimMap; 2]) -> Worth {
-        let model = &parts[self.hypothesis.part].pose_model;
+        let model = parts[self.hypothesis.part].pose_model();
         let Worth { now_mm, at_most_mm } = select::worth(params, model, &self.fit, &self.verdict, claims);
         Worth { now_mm: now_mm - self.kin_mm(), at_most_mm: at_most_mm - self.kin_mm() }
     }

@@ -48,7 +48,7 @@ const TELLING_PX_MIN: f64 = 3.0;
 impl Prepared {
     /// Whether another part has about the same shape as this one, and may be of other wire.
     fn is_kin(&self, other: &Self) -> bool {
-        let [a, b] = [self, other].map(|p| &p.pose_model);
+        let [a, b] = [self, other].map(|p| p.pose_model());
         let off_mm = SHAPE_SHARE * a.length_mm.max(b.length_mm);
         !std::ptr::eq(self, other)
             && (a.length_mm - b.length_mm).abs() <= off_mm
@@ -58,7 +58,7 @@ impl Prepared {
 
     /// Whether another part need not explain wire again that this one has for certain.
     pub(super) fn settles_for(&self, other: &Self) -> bool {
-        other.pose_model.length_mm <= self.pose_model.length_mm && !self.is_kin(other)
+        other.pose_model().length_mm <= self.pose_model().length_mm && !self.is_kin(other)
     }
 }
 
@@ -86,7 +86,7 @@ impl Explanations {
         if scene.views.iter().any(|view| view.profiler.dark_parts() || view.profiler.is_polished()) {
             return Some(ratio);
         }
-        let light = Light::on(&scene.parts[hypothesis.part].pose_model, verdict, &scene.views);
+        let light = Light::on(scene.parts[hypothesis.part].pose_model(), verdict, &scene.views);
         Some(ratio * (WIDER_PER_FULL * (FULL - light.full?)).exp())
     }
 
@@ -138,7 +138,7 @@ impl Explanations {
         };
         self.all().iter().any(|e| {
             let other = &parts[e.hypothesis.part];
-            let [radius, other_radius] = [prepared, other].map(|p| p.pose_model.radius_mm);
+            let [radius, other_radius] = [prepared, other].map(|p| p.pose_model().radius_mm);
             let thicker_ln = (radius / other_radius).ln().abs();
             if !prepared.is_kin(other) || is_told(e, thicker_ln) {
                 return false;
@@ -164,9 +164,9 @@ impl Explanation {
 
 /// How far the free ends of a part lie from the nearest ones of another, in the mean.
 fn ends_apart_mm([one, other]: [&Prepared; 2], [a, b]: [&Isometry3<f64>; 2]) -> f64 {
-    let ends = &one.pose_model.ends;
+    let ends = &one.pose_model().ends;
     let nearest_mm = |end: &FreeEnd| {
-        let apart = other.pose_model.ends.iter().map(|o| (a * end.position_mm - b * o.position_mm).norm());
+        let apart = other.pose_model().ends.iter().map(|o| (a * end.position_mm - b * o.position_mm).norm());
         apart.fold(f64::MAX, f64::min)
     };
     ends.iter().map(nearest_mm).sum::<f64>() / ends.len().max(1) as f64

@@ -140,7 +140,7 @@ impl Explanations {
     /// Reserves all memory.
     pub(super) fn new(params: refine::Params, rig: &Rig, nodes_max: usize, parts: &[Prepared]) -> Self {
         let most = |count: fn(&Prepared) -> usize| parts.iter().map(count).max().unwrap_or(0);
-        let (stations, stops) = (most(|p| p.pose_model.stations.len()), most(|p| p.stops.len()));
+        let (stations, stops) = (most(Prepared::stations_max), most(|p| p.stops.len()));
         let blank = || Explanation {
             hypothesis: Hypothesis::default(),
             fit: Fit::default(),
@@ -224,7 +224,7 @@ impl Explanations {
             {
                 continue;
             }
-            let model = &prepared.pose_model;
+            let model = prepared.pose_model();
             let near = again.then(|| self.refine.near(model, rough, &scene.views)).flatten();
             let Some(pose) = near.or_else(|| self.refine.coarse(model, rough, &scene.views)) else {
                 continue;
@@ -289,7 +289,7 @@ impl Explanations {
         looking: &mut Watch,
     ) -> Option<usize> {
         let prepared = &scene.parts[hypothesis.part];
-        let model = &prepared.pose_model;
+        let model = prepared.pose_model();
         let mut fit = self.refine.fine(model, coarse, &scene.views)?;
         if fit.misfit > DOUBTFUL_MISFIT {
             fit = self.refit(model, coarse, fit, scene, looking)?;
@@ -387,7 +387,7 @@ impl Explanations {
     fn take_ends(&mut self, index: usize, scene: &Scene) {
         let Explanation { hypothesis, ends_px, has_ends, .. } = &mut self.list[index];
         *has_ends = true;
-        let length_mm = |part: usize| scene.parts[part].pose_model.length_mm;
+        let length_mm = |part: usize| scene.parts[part].pose_model().length_mm;
         for end in ends_px {
             for (side, px) in end.iter().enumerate() {
                 if let Some(n) = nearest_end(scene.image_nodes[side], px) {
@@ -406,7 +406,7 @@ impl Explanations {
             let claims = &self.claims;
             let is_anchored = |e: &mut Explanation| {
                 !e.has_claimed && {
-                    let model = &parts[e.hypothesis.part].pose_model;
+                    let model = parts[e.hypothesis.part].pose_model();
                     e.overrun_mm = select::unclaimed_overrun_mm(model, &e.verdict, claims);
                     select::is_anchored(&e.fit, &e.verdict, e.overrun_mm)
                 }
@@ -474,7 +474,7 @@ impl Explanations {
 
     /// Whether most of the wire that a part at a pose would explain need not be explained again.
     fn is_explained(&self, scene: &Scene, part: usize, pose: &Isometry3<f64>) -> bool {
-        let model = &scene.parts[part].pose_model;
+        let model = scene.parts[part].pose_model();
         let settled = &self.settled[part];
         let stations = &model.stations;
         let probes = stations.iter().step_by((stations.len() / PROBES_MIN).max(1));

@@ -162,7 +162,7 @@ fn a_rod_with_both_ends_on_others_lies_in_the_middle_of_where_it_can() {
     let turn = nalgebra::UnitQuaternion::rotation_between(&Vector3::x(), &along).unwrap();
     for displaced_mm in [-5.0, 0.0, 5.0] {
         let pose = Isometry3::from_parts(at(displaced_mm, 0.0).into(), turn);
-        let model = &parts[0].pose_model;
+        let model = parts[0].pose_model();
         let found = slide::to_middle(&explanations.refine, model, &pose, &views);
         let place_mm = (found.unwrap_or(pose).translation.vector - at(0.0, 0.0).coords).dot(&along);
         // To a place that is looked at: half a thickness.
