@@ -45,7 +45,8 @@ use crate::pose::verify::{self, Sight, Verdict};
 pub struct Params {
     /// Share of the part's length that must be seen and not claimed by another, in each picture.
     pub seen_min: f64,
-    /// Share of the part's length that may be background.
+    /// Share of the part's length that may be background; twice as much where all ends are seen, for the shadow of another
+    /// wire may lie across it.
     pub missing_max: f64,
     /// Share of the part's length, the mean of both pictures, on which both outlines must be seen: one side alone may
     /// be the rim of anything, of a wall in the shadow, too.
@@ -69,11 +70,14 @@ pub struct Params {
     pub against: f64,
 }
 
+/// Of what more is missing nobody knows that it is one part.
+const MISSING_MAX: f64 = 0.08;
+
 impl Default for Params {
     fn default() -> Self {
         Self {
             seen_min: 0.4,
-            missing_max: 0.08,
+            missing_max: MISSING_MAX,
             both_sides_min: 0.3,
             solid_min: 0.85,
             offset_px_max: 0.9,
@@ -120,11 +124,16 @@ fn free_and_claimed_mm(model: &PoseModel, verdict: &Verdict, claims: &[ClaimMap;
 /// Whether an explanation leaves no doubt: all ends seen in both pictures where they should be, all wire there, none
 /// beyond.
 pub fn is_certain(fit: &Fit, verdict: &Verdict, ends: usize) -> bool {
+    is_between_its_ends(fit, verdict, ends)
+        && verdict.missing == [0.0; 2]
+        && verdict.clear.iter().all(|c| *c > 0.75)
+}
+
+/// The same, but that some wire may be missing, or hidden.
+fn is_between_its_ends(fit: &Fit, verdict: &Verdict, ends: usize) -> bool {
     verdict.ends_seen as usize == 2 * ends
         && verdict.ends_off_px < 0.5 * verdict.ends_seen as f64
-        && verdict.missing == [0.0; 2]
         && verdict.overrun_mm == 0.0
-        && verdict.clear.iter().all(|c| *c > 0.75)
         && verdict.offset_px < 0.35
         && fit.misfit < 1.2
 }
@@ -184,7 +193,11 @@ pub fn is_proven(model: &PoseModel, fit: &Fit, verdict: &Verdict, overrun_mm: f6
             Some(_) => is_sound(fit, verdict, verdict.overrun_mm),
             None => overrun_mm <= 1.5 * model.radius_mm,
         };
-    is_held && verdict.end_offset_px < END_OFFSET_PX_MAX && fit.misfit < MISFIT_MAX && !verdict.is_narrow
+    is_held
+        && verdict.end_offset_px < END_OFFSET_PX_MAX
+        && missing(verdict) <= MISSING_MAX
+        && fit.misfit < MISFIT_MAX
+        && !verdict.is_narrow
 }
 
 /// Of what shows no end, from this share of its length on both outlines must be seen in either picture.
@@ -194,6 +207,11 @@ const ENDLESS_CLEAR_MIN: f64 = 0.35;
 /// narrower than light makes it. That is what shadows, rims and lines look like that are longer than the part.
 pub fn is_unlikely(verdict: &Verdict) -> bool {
     verdict.ends_shown == 0 && (verdict.is_narrow || verdict.clear.iter().any(|c| *c < ENDLESS_CLEAR_MIN))
+}
+
+/// Share of the wire that is missing, the mean of both pictures.
+fn missing(verdict: &Verdict) -> f64 {
+    (verdict.missing[0] + verdict.missing[1]) / 2.0
 }
 
 /// What an explanation is worth, in mm of wire.
@@ -218,11 +236,13 @@ pub fn worth(
     verdict: &Verdict,
     claims: &[ClaimMap; 2],
 ) -> Worth {
-    let missing = (verdict.missing[0] + verdict.missing[1]) / 2.0;
+    let missing = missing(verdict);
     // Of what leaves no doubt some may have been too dim for the mask.
     let is_certain = is_certain(fit, verdict, model.ends.len());
-    let is_hollow = verdict.solid[0].min(verdict.solid[1]) < params.solid_min && !is_certain;
-    if missing > params.missing_max
+    let shadow = if is_between_its_ends(fit, verdict, model.ends.len()) { params.missing_max } else { 0.0 };
+    let missing_max = params.missing_max + shadow;
+    let is_hollow = verdict.solid[0].min(verdict.solid[1]) < params.solid_min - shadow && !is_certain;
+    if missing > missing_max
         || verdict.clear[0] + verdict.clear[1] < 2.0 * params.both_sides_min
         || is_hollow
         || verdict.offset_px > params.offset_px_max
@@ -330,6 +350,30 @@ mod tests {
         assert!(worth_mm(0.9, 4) > 80.0 && worth_mm(0.9, 3) > 80.0);
         assert!(worth_mm(0.8, 4) > 80.0);
         assert_eq!(worth_mm(0.8, 3), f64::NEG_INFINITY);
+    }
+
+    #[test]
+    fn the_shadow_of_another_may_lie_across_what_shows_all_its_ends_but_proves_nothing() {
+        let part =
+            Part::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts/rod-90.toml")).unwrap();
+        let model = PoseModel::new(&part);
+        let claims = [ClaimMap::new(100, 100), ClaimMap::new(100, 100)];
+        let judged = |missing: f64, ends_seen: u32| {
+            let verdict = Verdict {
+                pieces: vec![[piece(50.0, 50.0, [0.0, 1.0]); 2]; model.stations.len()],
+                clear: [0.9 - missing; 2],
+                missing: [missing; 2],
+                solid: [1.0 - missing; 2],
+                ends_seen,
+                ends_shown: 2,
+                ..Verdict::default()
+            };
+            let worth = worth(&Params::default(), &model, &Fit::default(), &verdict, &claims);
+            (worth.now_mm > 0.0, is_proven(&model, &Fit::default(), &verdict, 0.0))
+        };
+        assert_eq!([judged(0.07, 4), judged(0.07, 3)], [(true, true); 2]);
+        assert_eq!([judged(0.12, 4), judged(0.12, 3)], [(true, false), (false, false)]);
+        assert_eq!(judged(0.2, 4), (false, false));
     }
 
     #[test]

@@ -293,8 +293,8 @@ impl Recognizer {
         Ok(in_time)
     }
 
-    /// Fills the pool with rough poses of all parts, fittest first: those of matches, and those that single nodes hold
-    /// with the wire that leaves them. A single node costs an iteration of the budget.
+    /// Fills the pool with rough poses of all parts, fittest first: those that single nodes hold with the wire that leaves
+    /// them, each for an iteration of the budget, and those of matches.
     fn search(&mut self, budget: Budget, seed: u64, out: &mut Recognition) {
         let Self { pictures, scales, parts, thickness_mm, search, pool, params, .. } = self;
         let rig = rig_of(scales, pictures);
@@ -305,9 +305,7 @@ impl Recognizer {
         let may_lie =
             |part: usize, pose: &Isometry3<f64>| !parts[part].is_too_steep(pose, &down, params.slope_rad_max);
         search.begin(rig, left, right, *thickness_mm);
-        search.run_exact(judge_of, budget);
-        let mut used = search.iterations();
-        out.out_of_time = search.is_out_of_time();
+        let mut used = 0;
         for index in 0..parts.len() {
             let judge = judge_of(index);
             for (n, node) in search.near_nodes() {
@@ -322,6 +320,8 @@ impl Recognizer {
                 hypotheses::of_single_node(&params.single, index, &judge, &single, &down, may_lie, pool);
             }
         }
+        search.run_exact(judge_of, budget.less(used));
+        used += search.iterations();
         search.run_by_chance(rig, [left, right], judge_of, budget, &mut used, seed);
         out.spent.iterations += used;
         out.out_of_time |= search.is_out_of_time();

@@ -6,6 +6,7 @@
 //! background's. Where the part fades into the dark the mask ends too early: there the difference to the floor on
 //! both sides is followed until it drops at once.
 
+use super::section::half_thickness_at_end;
 use super::{Graph, NodeKind};
 use crate::frame::{Frame, LumaView};
 use crate::level::Level;
@@ -74,8 +75,8 @@ impl Ray {
 
 #[inline(always)]
 fn put_back_one(mask: &BitImage, luma: Option<&LumaView>, graph: &mut Graph, e: usize, end: usize, n: usize) {
-    let half = graph.edges[e].half_thickness_px.max(0.5);
     let chain = graph.edge_points(&graph.edges[e]);
+    let half = half_thickness_at_end(mask, chain, end == 1, graph.edges[e].half_thickness_px.max(0.5));
     let Some(ray) = ray_at_end(chain, end == 1, half, graph.nodes[n].skeleton_px) else { return };
     let node = &mut graph.nodes[n];
     let (distance, seen) = match free_length(mask, ray, half) {

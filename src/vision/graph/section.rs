@@ -5,6 +5,9 @@ use crate::vision::bits::BitImage;
 
 /// Sections an edge.
 const SECTIONS: usize = 7;
+/// Wire so many times as thick or as thin is another; and by what share of its thickness that of a wire varies.
+const ANOTHER_WIRE: f32 = 1.5;
+const EVEN: f32 = 0.2;
 /// Longest run that is followed, in pixels each way.
 const RUN_MAX: i32 = 128;
 
@@ -87,34 +90,77 @@ pub(super) fn measure(mask: &BitImage, graph: &mut Graph) {
     }
 }
 
-/// Median of sections across a chain: the run along the row or the column, whichever cuts the line more squarely,
-/// times the cosine that is left. `None` for chains of less than five pixels.
+/// Median of sections across a chain. `None` for chains of less than five pixels.
 fn median_thickness(mask: &BitImage, chain: &[[u16; 2]]) -> Option<f32> {
     if chain.len() < 5 {
         return None;
     }
-    let mut sections = [0.0f32; SECTIONS];
-    for (i, section) in sections.iter_mut().enumerate() {
-        // From one eighth to seven eighths: sections at the ends would run into the neighbours there.
-        let at = (chain.len() - 1) * (2 * i + 2) / (2 * SECTIONS + 2);
-        let reach = 6.min(at).min(chain.len() - 1 - at).max(1);
-        let (a, b) = (chain[at.saturating_sub(reach)], chain[(at + reach).min(chain.len() - 1)]);
-        let (dx, dy) = (b[0] as f32 - a[0] as f32, b[1] as f32 - a[1] as f32);
-        let length = (dx * dx + dy * dy).sqrt().max(1.0);
-        *section = if dx.abs() >= dy.abs() {
-            run_in_column(mask, chain[at]) as f32 * dx.abs() / length
-        } else {
-            run_in_row(mask, chain[at]) as f32 * dy.abs() / length
-        };
-    }
+    // From one eighth to seven eighths: sections at the ends would run into the neighbours there.
+    let mut sections: [f32; SECTIONS] = std::array::from_fn(|i| {
+        thickness_at(mask, chain, (chain.len() - 1) * (2 * i + 2) / (2 * SECTIONS + 2))
+    });
     sections.sort_unstable_by(f32::total_cmp);
     Some(sections[SECTIONS / 2])
+}
+
+/// The section across a chain at one of its pixels: the run along the row or the column, whichever cuts the line more squarely,
+/// times the cosine that is left.
+#[inline(always)]
+fn thickness_at(mask: &BitImage, chain: &[[u16; 2]], at: usize) -> f32 {
+    let reach = 6.min(at).min(chain.len() - 1 - at).max(1);
+    let (a, b) = (chain[at.saturating_sub(reach)], chain[(at + reach).min(chain.len() - 1)]);
+    let (dx, dy) = (b[0] as f32 - a[0] as f32, b[1] as f32 - a[1] as f32);
+    let length = (dx * dx + dy * dy).sqrt().max(1.0);
+    if dx.abs() >= dy.abs() {
+        run_in_column(mask, chain[at]) as f32 * dx.abs() / length
+    } else {
+        run_in_row(mask, chain[at]) as f32 * dy.abs() / length
+    }
+}
+
+/// Half the thickness of wire at one end of a chain of this half thickness as a whole: of another wire, where a thicker and a thinner
+/// one touch end to end.
+#[inline(always)]
+pub(super) fn half_thickness_at_end(mask: &BitImage, chain: &[[u16; 2]], at_last: bool, half: f32) -> f32 {
+    let mut sections = [0.0f32; 3];
+    for (k, section) in sections.iter_mut().enumerate() {
+        let from_end = (2.0 * half) as usize * (k + 1);
+        if from_end >= chain.len() {
+            return half;
+        }
+        *section = thickness_at(mask, chain, if at_last { chain.len() - 1 - from_end } else { from_end });
+    }
+    sections.sort_unstable_by(f32::total_cmp);
+    let [least, thickness, most] = sections;
+    let is_even = most - least <= EVEN * thickness;
+    let as_usual = (1.0 / ANOTHER_WIRE..ANOTHER_WIRE).contains(&(thickness / (2.0 * half)));
+    if is_even && !as_usual { (thickness / 2.0).max(0.5) } else { half }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use rand::{RngExt, SeedableRng};
+
+    #[test]
+    fn an_end_has_the_thickness_of_its_own_wire() {
+        // From left to right 15, then 5 pixels thick.
+        let mut mask = BitImage::new(200, 60);
+        for (x, y) in (10..190).flat_map(|x| (0..60).map(move |y| (x, y))) {
+            let half: i32 = if x < 80 { 7 } else { 2 };
+            mask.set(x, y, (y as i32 - 30).abs() <= half);
+        }
+        let chain: Vec<[u16; 2]> = (17..188).map(|x| [x, 30]).collect();
+        let half = median_thickness(&mask, &chain).unwrap() / 2.0;
+        assert_eq!(half, 2.5);
+        let at_end = |mask: &BitImage, at_last| half_thickness_at_end(mask, &chain, at_last, half);
+        assert_eq!([at_end(&mask, false), at_end(&mask, true)], [7.5, 2.5]);
+        // What touches it here and there is no thicker wire.
+        for (x, y) in (20..24).flat_map(|x| (38..50).map(move |y| (x, y))) {
+            mask.set(x, y, true);
+        }
+        assert_eq!(at_end(&mask, false), 2.5);
+    }
 
     #[test]
     fn runs_along_rows_and_columns_equal_the_slow_ones() {
