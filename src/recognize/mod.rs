@@ -49,7 +49,6 @@ use crate::frame::{FramePair, LumaView};
 use crate::grasp::{self, Blocked};
 use crate::hands;
 use crate::level::Level;
-use crate::matching::gate::GateParams;
 use crate::matching::hypotheses::{self, Hypothesis, SingleNode};
 use crate::matching::lines::{self, Lines};
 use crate::matching::search::Search;
@@ -81,9 +80,6 @@ const COMPETE_SHARE: f64 = 0.5;
 /// Unexplained skeleton as long as this share of what must be seen of a part is reason to look for one: where it lies along
 /// another, their wires have but one skeleton.
 const UNEXPLAINED_SHARE: f64 = 0.5;
-/// By what factor at least the thickness of dark wire may differ from the part's: shadow as dark as the wire makes it look twice as
-/// thick and more.
-const DARK_THICKNESS_FACTOR_MAX: f64 = 2.6;
 /// Most hypotheses of a pair.
 const HYPOTHESES_MAX: usize = 16384;
 
@@ -147,12 +143,12 @@ impl Recognizer {
         let thickness_mm = parts.iter().map(|part| part.thickness_mm);
         let thickness_mm =
             [thickness_mm.clone().fold(f64::INFINITY, f64::min), thickness_mm.fold(0.0, f64::max)];
-        let depth_mm = depth_mm(&rig, thickness_mm[1]);
+        let depth_mm = params::depth_mm(&rig, thickness_mm[1]);
         let parts: Vec<Prepared> = parts.into_iter().map(Prepared::new).collect();
         Ok(Self {
             votes: Votes::new(thickness_mm, depth_mm),
             thickness_mm,
-            search: Search::new(params.search, gate(&params, depth_mm), parts.len()),
+            search: Search::new(params.search, params.gate_at(depth_mm), parts.len()),
             pool: Vec::with_capacity(HYPOTHESES_MAX),
             lines: Lines::new(lines::Params { depth_mm, ..params.lines }, params.ridges.stretches_max),
             explanations: Explanations::new(params.refine, &rig, params.nodes.nodes_max, &parts),
@@ -478,20 +474,6 @@ struct Job<'a> {
     /// Whether time for the competition is over.
     exchanging: Watch,
     stages: StageTimes,
-}
-
-/// How far away parts can be seen at all: not nearer than half the baseline, where no lens shows both cameras the same, and
-/// not so far that the thickest is thinner than a pixel.
-fn depth_mm(rig: &Rig, thickest_mm: f64) -> [f64; 2] {
-    let focal_px = [rig.left, rig.right].iter().flat_map(|c| [c.fx, c.fy]).fold(0.0, f64::max);
-    [rig.right_from_left.translation.vector.norm() / 2.0, focal_px * thickest_mm]
-}
-
-/// The gate as rig and light want it.
-fn gate(params: &Params, depth_mm: [f64; 2]) -> GateParams {
-    let least = if params.may_be_dark() { DARK_THICKNESS_FACTOR_MAX } else { 0.0 };
-    let thickness_factor_max = params.gate.thickness_factor_max.max(least);
-    GateParams { depth_mm, thickness_factor_max, ..params.gate }
 }
 
 /// That of the size in which the pictures were looked at.

@@ -6,9 +6,13 @@ use crate::matching::gate::GateParams;
 use crate::matching::hypotheses::SingleParams;
 use crate::matching::{lines, nodes, search, select};
 use crate::pose::refine;
+use crate::rig::Rig;
 use crate::vision::binarize::{self, ColourRange};
 use crate::vision::{graph, ridge, thin};
 
+/// By what factor at least the thickness of dark wire may differ from the part's: shadow as dark as the wire makes it look twice as
+/// thick and more.
+const DARK_THICKNESS_FACTOR_MAX: f64 = 2.6;
 /// What recognition is told.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Params {
@@ -47,6 +51,20 @@ impl Params {
     pub fn may_be_dark(&self) -> bool {
         self.binarize.iter().any(|range| range.inverted || range.colour != ColourRange::Auto)
     }
+
+    /// The gate for parts this far away, as their light wants it.
+    pub(super) fn gate_at(&self, depth_mm: [f64; 2]) -> GateParams {
+        let least = if self.may_be_dark() { DARK_THICKNESS_FACTOR_MAX } else { 0.0 };
+        let thickness_factor_max = self.gate.thickness_factor_max.max(least);
+        GateParams { depth_mm, thickness_factor_max, ..self.gate }
+    }
+}
+
+/// How far away parts can be seen at all: not nearer than half the baseline, where no lens shows both cameras the same, and
+/// not so far that the thickest is thinner than a pixel.
+pub(super) fn depth_mm(rig: &Rig, thickest_mm: f64) -> [f64; 2] {
+    let focal_px = [rig.left, rig.right].iter().flat_map(|c| [c.fx, c.fy]).fold(0.0, f64::max);
+    [rig.right_from_left.translation.vector.norm() / 2.0, focal_px * thickest_mm]
 }
 
 impl Default for Params {

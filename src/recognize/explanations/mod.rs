@@ -414,7 +414,7 @@ impl Explanations {
             let Some(index) = self.list[..self.count].iter_mut().position(is_anchored) else { return };
             self.claim_first(index);
             let Explanation { hypothesis, verdict, .. } = &self.list[index];
-            settle_for(&mut self.settled[hypothesis.part], verdict);
+            self.settled[hypothesis.part].claim(verdict.pieces.iter().map(|[left, _]| left));
         }
     }
 
@@ -442,7 +442,7 @@ impl Explanations {
         let Explanation { hypothesis, verdict, .. } = &self.list[index];
         for (settled, part) in self.settled.iter_mut().zip(parts) {
             if parts[hypothesis.part].settles_for(part) {
-                settle_for(settled, verdict);
+                settled.claim(verdict.pieces.iter().map(|[left, _]| left));
             }
         }
     }
@@ -485,11 +485,6 @@ impl Explanations {
         });
         2 * claimed > probed
     }
-}
-
-/// Marks the wire of an explanation as settled.
-fn settle_for(settled: &mut ClaimMap, verdict: &Verdict) {
-    settled.claim(verdict.pieces.iter().map(|[left, _]| left));
 }
 
 /// The end of a picture at a place: the nearest, for another wire may end beside it.
