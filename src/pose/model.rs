@@ -7,7 +7,8 @@ use nalgebra::{Point3, Vector3};
 use crate::part::Part;
 
 /// The wire of a bent part has two points a thickness up to this length, in thicknesses: it consists of short pieces, whose
-/// direction few points would tell. Other wire has one, of short parts more: so many in all, but no more than four a thickness.
+/// direction few points would tell. Other wire has one. Short parts have more, so many in all, but no more than so many a
+/// thickness.
 const DENSE_THICKNESSES_MAX: f64 = 128.0;
 const STATIONS_MIN: f64 = 20.0;
 const PER_THICKNESS_MAX: f64 = 4.0;
@@ -88,21 +89,13 @@ pub struct PoseModel {
 impl PoseModel {
     /// Works out the stations of `part`.
     pub fn new(part: &Part) -> Self {
-        let thicknesses = thicknesses(part);
-        let per_thickness = if !part.is_straight() && thicknesses <= DENSE_THICKNESSES_MAX {
-            2
-        } else {
-            (STATIONS_MIN / thicknesses).ceil().clamp(1.0, PER_THICKNESS_MAX) as usize
-        };
-        Self::with_stations(part, per_thickness)
+        Self::with_stations(part, per_thickness(part, !part.is_straight()))
     }
 
     /// The same, with at least two stations a thickness of straight wire, too, unless it is very long: where others lie across
     /// much of it, few of one would be left.
     pub fn dense(part: &Part) -> Self {
-        let sparse = Self::new(part);
-        let is_dense = sparse.per_thickness > 1 || thicknesses(part) > DENSE_THICKNESSES_MAX;
-        if is_dense { sparse } else { Self::with_stations(part, 2) }
+        Self::with_stations(part, per_thickness(part, true))
     }
 
     fn with_stations(part: &Part, per_thickness: usize) -> Self {
@@ -151,9 +144,12 @@ impl PoseModel {
     }
 }
 
-/// Length of a part's wire in thicknesses.
-fn thicknesses(part: &Part) -> f64 {
-    (0..part.edges.len()).map(|edge| part.edge_length_mm(edge)).sum::<f64>() / part.thickness_mm
+/// How many stations a thickness of a part's wire has, which is to be looked at closely or not.
+fn per_thickness(part: &Part, closely: bool) -> usize {
+    let wire_mm = (0..part.edges.len()).map(|edge| part.edge_length_mm(edge)).sum::<f64>();
+    let thicknesses = wire_mm / part.thickness_mm;
+    let least = if closely && thicknesses <= DENSE_THICKNESSES_MAX { 2.0 } else { 1.0 };
+    (STATIONS_MIN / thicknesses).ceil().clamp(least, PER_THICKNESS_MAX) as usize
 }
 
 /// Tells straight pieces of wire apart; the stations lie so many thicknesses from each other. Wire that bends little from one
@@ -230,7 +226,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn short_and_bent_wire_has_stations_enough_and_dense_wire_twice_as_many() {
+    fn short_bent_and_dense_wire_has_stations_enough() {
         let per_thickness = |length_mm: f64, via: &str| {
             let (grasp, closing) =
                 if via.is_empty() { ([1.0, 0.0, 0.0], [0, 1, 0]) } else { ([0.0, 10.0, 0.0], [1, 0, 0]) };

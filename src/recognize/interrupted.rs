@@ -14,7 +14,7 @@ const NOTCH_SHARE: f64 = 1.0;
 const ACROSS: [f64; 3] = [0.0, -0.35, 0.35];
 /// How far a notch may lie beyond the stations that it lies between, in pixels.
 const BEYOND_PX: f64 = 1.0;
-/// Cosine of the angle up to which wire is straight over four or five stations, and the least share of its length that a picture
+/// Cosine of the angle up to which wire is straight over three or four thicknesses, and the least share of its length that a picture
 /// shows.
 const STRAIGHT_COS: f64 = 0.9995;
 const LENGTH_SHARE_MIN: f64 = 0.7;
@@ -23,24 +23,24 @@ const LENGTH_SHARE_MIN: f64 = 0.7;
 pub(super) fn is_interrupted(model: &PoseModel, explanation: &Explanation, views: &[View; 2]) -> bool {
     let pieces = &explanation.verdict.pieces;
     let [Some(left), Some(right)] = explanation.light.above_in else { return false };
-    let is_between = |stations: &[Station], pieces: &[[PieceSight; 2]]| {
-        let [_, a, .., b, _] = stations else { return false };
-        let [_, pieces_a, .., pieces_b, _] = pieces else { return false };
-        let length_radii = (b.position_mm - a.position_mm).norm() / model.radius_mm;
+    let is_between = |stations: &[Station], pieces: &[[PieceSight; 2]], [a, b]: [usize; 2]| {
+        let length_radii = (stations[b].position_mm - stations[a].position_mm).norm() / model.radius_mm;
         is_straight(stations)
             && [0, 1].into_iter().all(|side: usize| {
-                let between = [&pieces_a[side], &pieces_b[side]];
+                let between = [&pieces[a][side], &pieces[b][side]];
                 let least_px = LENGTH_SHARE_MIN * length_radii * between[0].half_width_px;
                 has_notch(between, least_px, NOTCH_SHARE * [left, right][side], &views[side])
             })
     };
-    let has_between = |count: usize, is_asked: fn(&[[PieceSight; 2]]) -> bool| {
-        let stations = model.stations.windows(count).zip(pieces.windows(count));
-        stations.filter(|(_, pieces)| is_asked(pieces)).any(|(stations, pieces)| is_between(stations, pieces))
+    // A thickness of wire, with one on either side; and two, where what is in their middle is not seen clearly.
+    let thickness = model.per_thickness;
+    let has_between = |thicknesses: usize, is_asked: fn(&[PieceSight; 2]) -> bool| {
+        let count = (thicknesses + 2) * thickness + 1;
+        let ends = [thickness, (thicknesses + 1) * thickness];
+        let mut stretches = model.stations.windows(count).zip(pieces.windows(count));
+        stretches.any(|(stations, pieces)| is_asked(&pieces[count / 2]) && is_between(stations, pieces, ends))
     };
-    // Between two stations; and where one lies in the notch itself.
-    has_between(4, |_| true)
-        || has_between(5, |pieces| pieces[2].iter().all(|seen| seen.sight != Sight::Clear))
+    has_between(1, |_| true) || has_between(2, |middle| middle.iter().all(|seen| seen.sight != Sight::Clear))
 }
 
 /// Whether stations lie in a row on straight wire.

@@ -239,6 +239,7 @@ impl Recognizer {
         let begin = Timestamp::now();
         let Job { pair, budget, seed, looking, exchanging, stages } = job;
         out.parts.clear();
+        out.out_of_time = false;
         self.search(budget.less(out.spent.iterations).share(SEARCH_SHARE), *seed, out);
         let matched = Timestamp::now();
         self.judge_colours(pair, budget.end());

@@ -22,7 +22,7 @@ use crate::rig::Rig;
 /// Distance in pixels within which an image node is a part's end.
 pub(super) const SAME_END_PX: f64 = 5.0;
 
-/// In heaps wires meet or cross at so many times as many places as they end, or more.
+/// In heaps wires meet or cross at more than so many times as many places as they end.
 const HEAP_MIN: f64 = 2.5;
 
 /// A part and all that is worked out of it beforehand.

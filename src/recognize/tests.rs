@@ -443,3 +443,41 @@ fn smooth_arcs_are_found_by_their_ends() {
         assert!(farthest_mm.fold(0.0, f64::max) < 2.0 && found.proven, "{turn}: {found:?}");
     }
 }
+
+/// Rods half a metre away, so many along each of two directions, each across all of the other direction.
+fn grid(model: &PoseModel, each_way: usize) -> DrawnPair {
+    let rods: Vec<_> = (0..2 * each_way)
+        .map(|k| {
+            let aside_mm = 7.0 * (k / 2) as f64 - 3.5 * (each_way - 1) as f64;
+            let (turn, at) =
+                if k % 2 == 0 { (0.5, aside_mm) } else { (0.5 + std::f64::consts::FRAC_PI_2, aside_mm) };
+            let turn = nalgebra::UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn);
+            let across = turn * Vector3::y() * at;
+            let turn = turn
+                * nalgebra::UnitQuaternion::rotation_between(&model.straight_along.unwrap(), &Vector3::x())
+                    .unwrap();
+            (model, Isometry3::from_parts((Vector3::z() * 500.0 + across).into(), turn))
+        })
+        .collect();
+    DrawnPair::new(&rods)
+}
+
+#[test]
+fn wire_is_measured_closely_in_heaps_alone_and_what_was_seen_before_changes_nothing() {
+    let rod = Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts/rod-90.toml");
+    let model = PoseModel::new(&Part::read(rod).unwrap());
+    let [few, heap] = [2, 10].map(|each_way| grid(&model, each_way));
+    let mut recognizer = recognizer(few.rig);
+    let mut run = |drawn: &DrawnPair| {
+        let [left, right] = drawn.frames.clone();
+        let mut out = Recognition::default();
+        recognizer.run(&FramePair { left, right }, Budget::Iterations(20_000), 1, &mut out).unwrap();
+        (recognizer.parts[0].pose_model().per_thickness, out.parts)
+    };
+    let (first, of_few) = run(&few);
+    let (second, of_heap) = run(&heap);
+    assert_eq!((first, second, of_few.len()), (1, 2, 4));
+    assert!(of_heap.len() > 10, "{}", of_heap.len());
+    assert_eq!(run(&few), (1, of_few));
+    assert_eq!(run(&heap), (2, of_heap));
+}

@@ -288,10 +288,9 @@ mod tests {
     }
 
     /// Why an upright rod half a metre away is not offered over whose pictures, left and right, something is painted; the
-    /// rod's middle is in row 240.
-    fn blocked_under(paint: impl Fn(usize, usize) -> Option<u8>) -> Option<Blocked> {
-        let rod = Part::read(concat!(env!("CARGO_MANIFEST_DIR"), "/replay/parts/rod-90.toml")).unwrap();
-        let model = PoseModel::new(&rod);
+    /// rod's middle is in row 240. From `min` on grey is object.
+    fn blocked_under(rod: &Part, min: u8, paint: impl Fn(usize, usize) -> Option<u8>) -> Option<Blocked> {
+        let model = PoseModel::new(rod);
         let turn = UnitQuaternion::rotation_between(&model.straight_along.unwrap(), &Vector3::y()).unwrap();
         let pose = Isometry3::from_parts(Vector3::new(0.0, 0.0, 500.0).into(), turn);
         let mut drawn = DrawnPair::new(&[(&model, pose)]);
@@ -304,9 +303,9 @@ mod tests {
         let [left, right] = drawn.frames;
         let mut params = Params::default();
         for range in &mut params.binarize {
-            range.colour = ColourRange::Grey { min: 120, max: 255 };
+            range.colour = ColourRange::Grey { min, max: 255 };
         }
-        let mut recognizer = Recognizer::new(params, drawn.rig, vec![rod]).unwrap();
+        let mut recognizer = Recognizer::new(params, drawn.rig, vec![rod.clone()]).unwrap();
         let mut out = Recognition::default();
         recognizer.run(&FramePair { left, right }, Budget::Iterations(100_000), 1, &mut out).unwrap();
         let [part] = &out.parts[..] else { panic!("{:?}", out.parts) };
@@ -316,18 +315,33 @@ mod tests {
     #[test]
     fn what_lies_on_a_part_and_is_none_is_in_the_way() {
         let unknown = Some(Blocked::Unknown);
-        assert_eq!(blocked_under(|_, _| None), None);
+        let rod = Part::read(concat!(env!("CARGO_MANIFEST_DIR"), "/replay/parts/rod-90.toml")).unwrap();
+        let blocked_under = |paint: &dyn Fn(usize, usize) -> Option<u8>| blocked_under(&rod, 120, paint);
+        assert_eq!(blocked_under(&|_, _| None), None);
         // A cord as dark as the floor, a coin, and wire much thinner than the rod across it, 15 to 25 mm from its middle.
-        assert_eq!(blocked_under(|_, y| (212..217).contains(&y).then_some(40)), unknown, "cord");
+        assert_eq!(blocked_under(&|_, y| (212..217).contains(&y).then_some(40)), unknown, "cord");
         let coin = |x: usize, y: usize| (x.abs_diff(320).pow(2) + y.abs_diff(215).pow(2) < 64).then_some(190);
-        assert_eq!(blocked_under(coin), unknown, "coin");
+        assert_eq!(blocked_under(&coin), unknown, "coin");
         // A thread a pixel wide, wherever the stations lie; one that lies over half of the wire's width is a scratch.
         for row in 208..220 {
-            assert_eq!(blocked_under(|_, y| (y == row).then_some(40)), unknown, "thread in row {row}");
+            assert_eq!(blocked_under(&|_, y| (y == row).then_some(40)), unknown, "thread in row {row}");
             let scratch = |x: usize, y: usize| (y == row && x < 320).then_some(40);
-            assert_eq!(blocked_under(scratch), None, "scratch in row {row}");
+            assert_eq!(blocked_under(&scratch), None, "scratch in row {row}");
         }
         let wire = |x: usize, y: usize| (x.abs_diff(320) < 30 && (214..216).contains(&y)).then_some(200);
-        assert_eq!(blocked_under(wire), unknown, "wire");
+        assert_eq!(blocked_under(&wire), unknown, "wire");
+    }
+    #[test]
+    fn a_pin_with_a_band_across_it_is_not_offered_however_many_stations_it_covers() {
+        let text = "name = 'pin'\nthickness_mm = 6.0\n\
+            node = [{ name = 'a', position_mm = [0, -24, 0] }, { name = 'b', position_mm = [0, 24, 0] }]\n\
+            edge = [{ from = 'a', to = 'b' }]\n\
+            grasp = { position_mm = [0, 0, 0], approach = [0, 0, -1], closing = [1, 0, 0], width_mm = 12.0 }\n";
+        let pin = Part::parse(text, "pin.toml").unwrap();
+        assert_eq!(blocked_under(&pin, 60, |_, _| None), None);
+        for (wide, row) in (1..7).flat_map(|wide| (224..234).map(move |row| (wide, row))) {
+            let band = |_, y: usize| (row..row + wide).contains(&y).then_some(70);
+            assert!(blocked_under(&pin, 60, band).is_some(), "{wide} rows from {row} on");
+        }
     }
 }

@@ -29,7 +29,7 @@ pub struct Params {
     /// Rounds with the grey values, at most.
     pub fine_rounds: u32,
     /// Share of background along the wire up to which a rough pose is refined of which no end is seen: nothing would
-    /// move it along the wire any more. Twice what [a part may have](crate::matching::select::Params::missing_max).
+    /// move it along the wire any more. Twice what [a part may have](crate::matching::select::Params::missing_max) as a rule.
     pub missing_max: f64,
 }
 

@@ -9,9 +9,9 @@ use crate::pose::end::EndLook;
 use crate::pose::model::PoseModel;
 use crate::pose::section::{is_sure, mask_run};
 
-/// Once in so many thicknesses straight wire is looked at while the pose is rough, but at no fewer places than this.
+/// Once in so many thicknesses wire is looked at while the pose is rough, but at no fewer places than this, or at all there are.
 const COARSE_THICKNESSES: usize = 3;
-const COARSE_STATIONS_MIN: usize = 10;
+const COARSE_STATIONS_MIN: usize = 8;
 /// A rough pose that moved by less than this, in radii of the wire, need not be moved again before it is refined.
 const COARSE_SETTLED_RADII: f64 = 1.5;
 /// How far the outlines are looked for around a rough pose, and the residuals at which belief has halved, in pixels.
@@ -111,7 +111,7 @@ impl Refine {
     }
 }
 
-/// Every so many stations are looked at while the pose is rough; all of parts of short pieces.
+/// Every so many stations are looked at while the pose is rough; all of bent parts, whose pieces are short, unless they are long.
 fn coarse_stride(model: &PoseModel) -> usize {
     if model.straight_along.is_none() && model.per_thickness > 1 {
         return 1;

@@ -85,6 +85,7 @@ fn put_back_one(mask: &BitImage, luma: Option<&LumaView>, graph: &mut Graph, e: 
     };
     let aside = middle_aside(mask, luma, ray, distance, half);
     node.position_px = ray.at(distance, aside);
+    node.half_thickness_px = half;
     node.end_visible = seen;
 }
 
