@@ -4,6 +4,8 @@ use nalgebra::Vector3;
 use pickcell::frame::{Frame, FramePair, PixelFormat};
 use pickcell::level::Level;
 use pickcell::part::Part;
+use pickcell::pose::drawn::DrawnPair;
+use pickcell::pose::model::PoseModel;
 use pickcell::recognize::{self, Recognition, Recognizer};
 use pickcell::rig::{CameraModel, Rig};
 use pickcell::session::{RecordedPair, Session};
@@ -249,4 +251,22 @@ fn neither_dark_parts_nor_coloured_ones_want_an_allocation() {
         assert_eq!(allocations_of(|| parts = pairs.iter().map(&mut run).sum()), 0, "{colour:?}");
         assert!(parts > 20, "{colour:?}: {parts}");
     }
+}
+
+#[test]
+fn a_heap_after_a_few_parts_wants_no_allocation() {
+    let replay = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("replay");
+    let rod = Part::read(replay.join("parts/rod-90.toml")).unwrap();
+    let [few, heap] = [2, 10].map(|each_way| DrawnPair::lattice(&PoseModel::new(&rod), each_way));
+    let mut recognizer = Recognizer::new(Default::default(), few.rig, vec![rod]).unwrap();
+    let [few, heap] = [few, heap].map(|DrawnPair { frames: [left, right], .. }| FramePair { left, right });
+    let mut found = Recognition::with_room();
+    let mut run = |pair: &FramePair| {
+        recognizer.run(pair, Budget::Iterations(20_000), 1, &mut found).unwrap();
+        found.parts.len()
+    };
+    assert_eq!(run(&few), 4);
+    let mut parts = 0;
+    assert_eq!(allocations_of(|| parts = run(&heap)), 0);
+    assert!(parts > 10, "{parts}");
 }

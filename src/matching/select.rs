@@ -284,10 +284,20 @@ mod tests {
     use crate::part::Part;
     use crate::pose::verify::OnwardPiece;
 
+    fn model(part: &str) -> PoseModel {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts").join(part);
+        PoseModel::new(&Part::read(file).unwrap())
+    }
+
+    /// Most of the part in sight, all at one place, with so many of its ends seen.
+    fn in_sight(model: &PoseModel, ends_seen: u32) -> Verdict {
+        let pieces = vec![[piece(50.0, 50.0, [0.0, 1.0]); 2]; model.stations.len()];
+        Verdict { pieces, clear: [0.9; 2], solid: [1.0; 2], ends_seen, ends_shown: 2, ..Verdict::default() }
+    }
+
     #[test]
     fn wire_that_goes_on_and_is_known_to_be_anothers_speaks_against_nobody() {
-        let rod = Part::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts/rod-90.toml")).unwrap();
-        let model = PoseModel::new(&rod);
+        let model = model("rod-90.toml");
         let beyond = |x: f64| OnwardPiece {
             stop: 0,
             side: 1,
@@ -333,19 +343,10 @@ mod tests {
 
     #[test]
     fn what_the_mask_does_not_have_counts_where_there_is_doubt() {
-        let part =
-            Part::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts/rod-90.toml")).unwrap();
-        let model = PoseModel::new(&part);
+        let model = model("rod-90.toml");
         let claims = [ClaimMap::new(100, 100), ClaimMap::new(100, 100)];
         let worth_mm = |solid: f64, ends_seen: u32| {
-            let verdict = Verdict {
-                pieces: vec![[piece(50.0, 50.0, [0.0, 1.0]); 2]; model.stations.len()],
-                clear: [0.9; 2],
-                solid: [solid; 2],
-                ends_seen,
-                ends_shown: 2,
-                ..Verdict::default()
-            };
+            let verdict = Verdict { solid: [solid; 2], ..in_sight(&model, ends_seen) };
             worth(&Params::default(), &model, &Fit::default(), &verdict, &claims).now_mm
         };
         assert!(worth_mm(0.9, 4) > 80.0 && worth_mm(0.9, 3) > 80.0);
@@ -355,19 +356,14 @@ mod tests {
 
     #[test]
     fn the_shadow_of_another_may_lie_across_what_shows_all_its_ends_but_proves_nothing() {
-        let part =
-            Part::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts/rod-90.toml")).unwrap();
-        let model = PoseModel::new(&part);
+        let model = model("rod-90.toml");
         let claims = [ClaimMap::new(100, 100), ClaimMap::new(100, 100)];
         let judged = |missing: f64, ends_seen: u32| {
             let verdict = Verdict {
-                pieces: vec![[piece(50.0, 50.0, [0.0, 1.0]); 2]; model.stations.len()],
                 clear: [0.9 - missing; 2],
                 missing: [missing; 2],
                 solid: [1.0 - missing; 2],
-                ends_seen,
-                ends_shown: 2,
-                ..Verdict::default()
+                ..in_sight(&model, ends_seen)
             };
             let worth = worth(&Params::default(), &model, &Fit::default(), &verdict, &claims);
             (worth.now_mm > 0.0, is_proven(&model, &Fit::default(), &verdict, 0.0))
@@ -379,9 +375,7 @@ mod tests {
 
     #[test]
     fn what_shows_all_its_ends_stands_where_another_lies_along_it_and_not_where_its_ends_are_anothers() {
-        let part =
-            Part::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts/rod-90.toml")).unwrap();
-        let model = PoseModel::new(&part);
+        let model = model("rod-90.toml");
         let along = model.straight_along.unwrap();
         // A pixel a millimetre.
         let pieces: Vec<_> = model
@@ -398,14 +392,7 @@ mod tests {
             for (side, claims) in claims.iter_mut().enumerate() {
                 claims.claim(theirs.clone().map(|piece| &piece[side]));
             }
-            let verdict = Verdict {
-                pieces: pieces.clone(),
-                clear: [0.9; 2],
-                solid: [1.0; 2],
-                ends_seen,
-                ends_shown: 2,
-                ..Verdict::default()
-            };
+            let verdict = Verdict { pieces: pieces.clone(), ..in_sight(&model, ends_seen) };
             worth(&Params::default(), &model, &Fit::default(), &verdict, &claims).now_mm
         };
         // All but 15 mm at either end is another's; the whole; and one end.
@@ -416,10 +403,6 @@ mod tests {
 
     #[test]
     fn a_bent_part_is_proven_where_the_pictures_do_not_contradict_it_and_a_rod_by_its_ends() {
-        let model = |name: &str| {
-            let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts").join(name);
-            PoseModel::new(&Part::read(file).unwrap())
-        };
         let held = |name: &str, verdict: &Verdict, misfit: f64, overrun_mm: f64| {
             is_proven(&model(name), &Fit { misfit, ..Fit::default() }, verdict, overrun_mm)
         };

@@ -1,6 +1,8 @@
 //! Drawn pictures: straight wires of known pose before two cameras, for examples of what is done with poses.
 
-use nalgebra::{Isometry3, Vector2};
+use std::f64::consts::FRAC_PI_2;
+
+use nalgebra::{Isometry3, UnitQuaternion, Vector2, Vector3};
 
 use super::model::PoseModel;
 use super::refine::View;
@@ -44,6 +46,24 @@ impl DrawnPair {
             (Frame::from_grey(640, 480, bytes), mask)
         });
         Self { rig, frames: [left.0, right.0], masks: [left.1, right.1] }
+    }
+
+    /// So many level rods half a metre away in each of two directions, 7 mm from one to the next: each crosses all of the
+    /// other direction.
+    ///
+    /// # Panics
+    /// A part that is bent; a lattice larger than the pictures.
+    pub fn lattice(rod: &PoseModel, each_way: usize) -> Self {
+        let along = rod.straight_along.expect("a straight part");
+        let lying = (0..2 * each_way).map(|k| {
+            let turn = 0.5 + if k % 2 == 0 { 0.0 } else { FRAC_PI_2 };
+            let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn);
+            let aside_mm = 7.0 * ((k / 2) as f64 - (each_way - 1) as f64 / 2.0);
+            let place = turn * Vector3::new(0.0, aside_mm, 0.0) + Vector3::new(0.0, 0.0, 500.0);
+            let onto_x = UnitQuaternion::rotation_between(&along, &Vector3::x()).unwrap_or_default();
+            (rod, Isometry3::from_parts(place.into(), turn * onto_x))
+        });
+        Self::new(&lying.collect::<Vec<_>>())
     }
 
     /// Both pictures as the stages take them.

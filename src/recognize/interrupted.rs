@@ -14,7 +14,7 @@ const NOTCH_SHARE: f64 = 1.0;
 const ACROSS: [f64; 3] = [0.0, -0.35, 0.35];
 /// How far a notch may lie beyond the stations that it lies between, in pixels.
 const BEYOND_PX: f64 = 1.0;
-/// Cosine of the angle up to which wire is straight over three or four thicknesses, and the least share of its length that a picture
+/// Cosine of the angle up to which wire is straight over one or two thicknesses and a station more on either side, and the least share of its length that a picture
 /// shows.
 const STRAIGHT_COS: f64 = 0.9995;
 const LENGTH_SHARE_MIN: f64 = 0.7;
@@ -32,11 +32,10 @@ pub(super) fn is_interrupted(model: &PoseModel, explanation: &Explanation, views
                 has_notch(between, least_px, NOTCH_SHARE * [left, right][side], &views[side])
             })
     };
-    // A thickness of wire, with one on either side; and two, where what is in their middle is not seen clearly.
-    let thickness = model.per_thickness;
+    // A thickness of wire, with a station on either side; and two, where what is in their middle is not seen clearly.
     let has_between = |thicknesses: usize, is_asked: fn(&[PieceSight; 2]) -> bool| {
-        let count = (thicknesses + 2) * thickness + 1;
-        let ends = [thickness, (thicknesses + 1) * thickness];
+        let length = thicknesses * model.per_thickness;
+        let (count, ends) = (length + 3, [1, length + 1]);
         let mut stretches = model.stations.windows(count).zip(pieces.windows(count));
         stretches.any(|(stations, pieces)| is_asked(&pieces[count / 2]) && is_between(stations, pieces, ends))
     };

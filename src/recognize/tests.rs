@@ -444,29 +444,11 @@ fn smooth_arcs_are_found_by_their_ends() {
     }
 }
 
-/// Rods half a metre away, so many along each of two directions, each across all of the other direction.
-fn grid(model: &PoseModel, each_way: usize) -> DrawnPair {
-    let rods: Vec<_> = (0..2 * each_way)
-        .map(|k| {
-            let aside_mm = 7.0 * (k / 2) as f64 - 3.5 * (each_way - 1) as f64;
-            let (turn, at) =
-                if k % 2 == 0 { (0.5, aside_mm) } else { (0.5 + std::f64::consts::FRAC_PI_2, aside_mm) };
-            let turn = nalgebra::UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn);
-            let across = turn * Vector3::y() * at;
-            let turn = turn
-                * nalgebra::UnitQuaternion::rotation_between(&model.straight_along.unwrap(), &Vector3::x())
-                    .unwrap();
-            (model, Isometry3::from_parts((Vector3::z() * 500.0 + across).into(), turn))
-        })
-        .collect();
-    DrawnPair::new(&rods)
-}
-
 #[test]
 fn wire_is_measured_closely_in_heaps_alone_and_what_was_seen_before_changes_nothing() {
     let rod = Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts/rod-90.toml");
     let model = PoseModel::new(&Part::read(rod).unwrap());
-    let [few, heap] = [2, 10].map(|each_way| grid(&model, each_way));
+    let [few, heap] = [2, 10].map(|each_way| DrawnPair::lattice(&model, each_way));
     let mut recognizer = recognizer(few.rig);
     let mut run = |drawn: &DrawnPair| {
         let [left, right] = drawn.frames.clone();

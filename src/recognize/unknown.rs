@@ -331,6 +331,7 @@ mod tests {
         let wire = |x: usize, y: usize| (x.abs_diff(320) < 30 && (214..216).contains(&y)).then_some(200);
         assert_eq!(blocked_under(&wire), unknown, "wire");
     }
+
     #[test]
     fn a_pin_with_a_band_across_it_is_not_offered_however_many_stations_it_covers() {
         let text = "name = 'pin'\nthickness_mm = 6.0\n\

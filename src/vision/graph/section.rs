@@ -132,7 +132,7 @@ pub(super) fn half_thickness_at_end(mask: &BitImage, chain: &[[u16; 2]], at_last
     }
     sections.sort_unstable_by(f32::total_cmp);
     let [least, thickness, most] = sections;
-    // A pixel more or less is none.
+    // Of thin wire runs differ by a pixel.
     let is_even = most - least <= (EVEN * thickness).max(1.0);
     let as_usual = (1.0 / ANOTHER_WIRE..ANOTHER_WIRE).contains(&(thickness / (2.0 * half)));
     if is_even && !as_usual { (thickness / 2.0).max(0.5) } else { half }
