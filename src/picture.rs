@@ -198,19 +198,14 @@ impl Picture {
     fn binarize(&mut self, frame: &Frame, side: Side, end: Option<Timestamp>) -> Result<bool, Refusal> {
         let Self { decoder, luma, binarize, sizes, halvings, evenness, .. } = self;
         let is_late = || end.is_some_and(Timestamp::is_past);
-        if is_late() {
-            return Ok(false);
-        }
         let raw = raw_of(decoder, frame);
         let refused = |reason| Refusal::Binarize { side, reason };
         binarize.check(raw).map_err(refused)?;
-        let luma = match raw.format {
-            PixelFormat::Grey => raw,
-            _ => luma.run(raw, binarize.encoding(raw)),
-        };
-        if is_late() {
+        let has_luma = raw.format == PixelFormat::Grey || luma.run_until(raw, binarize.encoding(raw), end);
+        if !has_luma || is_late() {
             return Ok(false);
         }
+        let luma = luma_of(decoder, luma, frame);
         let seen = if binarize.needs_luma_only() { luma } else { raw };
         binarize.run(seen, &mut sizes[0].mask).map_err(refused)?;
         if is_late() {

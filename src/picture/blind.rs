@@ -17,9 +17,10 @@ const FLAT_LEVELS: u8 = 1;
 /// So many places are looked at for that, of which so many may be otherwise: one in a hundred.
 const PLACES: u32 = 8192;
 const OTHERS_MAX: u32 = PLACES / 100;
-/// Side of the squares whose means are compared, in pixels, and the least number of them.
+/// Side of the squares whose means are compared, in pixels, the least number of them, and the most rows of them that are looked at.
 const SQUARE_PX: usize = 16;
 const SQUARES_MIN: usize = 100;
+const ROWS_MAX: usize = 32;
 /// Standard deviation of a pixel's luma, as neighbours differ, from which on a picture may be noise.
 const NOISE_LUMA_MIN: f64 = 5.0;
 /// Of noise the means of squares scatter as their number of pixels says; the smoothing of a camera and JPEG make it up to five
@@ -97,14 +98,16 @@ fn is_noise(luma: &Frame) -> bool {
         return false;
     }
     let row = |y: usize| &luma.bytes[y * luma.stride_bytes..][..columns * SQUARE_PX];
+    let ys = || (0..rows).step_by(rows.div_ceil(ROWS_MAX));
+    let count = (columns * ys().len()) as f64;
     // Pixels differ by twice the variance of each; some rows tell.
     let variance_of = |row: &[u8], apart: usize| {
         // No row is longer than 65535 pixels: a sum of so many squares is no more than 32 bits hold.
         let squares = row.iter().zip(&row[apart..]).map(|(a, b)| u32::from(a.abs_diff(*b)).pow(2));
         f64::from(squares.sum::<u32>()) / (2 * (row.len() - apart)) as f64
     };
-    let looked_at = || (0..rows).map(|y| row(y * SQUARE_PX));
-    let variance_at = |apart| looked_at().map(|row| variance_of(row, apart)).sum::<f64>() / rows as f64;
+    let looked_at = || ys().map(|y| row(y * SQUARE_PX));
+    let variance_at = |apart| looked_at().map(|row| variance_of(row, apart)).sum::<f64>() / ys().len() as f64;
     let variance = variance_at(1);
     if variance < NOISE_LUMA_MIN * NOISE_LUMA_MIN {
         return false;
@@ -117,11 +120,11 @@ fn is_noise(luma: &Frame) -> bool {
     // Noise is everywhere; between thin lines there is none.
     let pieces = looked_at().flat_map(|row| row.chunks_exact(SQUARE_PX));
     let calm = pieces.filter(|piece| variance_of(piece, 1) < CALM * variance).count();
-    if calm as f64 > CALM_SHARE_MAX * (columns * rows) as f64 {
+    if calm as f64 > CALM_SHARE_MAX * count {
         return false;
     }
     let (mut sum, mut sum_of_squares) = (0.0, 0.0);
-    for y in 0..rows {
+    for y in ys() {
         for x in 0..columns {
             let pixels = (0..SQUARE_PX).flat_map(|i| &row(y * SQUARE_PX + i)[x * SQUARE_PX..][..SQUARE_PX]);
             let mean = f64::from(pixels.map(|&v| u32::from(v)).sum::<u32>()) / (SQUARE_PX * SQUARE_PX) as f64;
@@ -129,7 +132,6 @@ fn is_noise(luma: &Frame) -> bool {
             sum_of_squares += mean * mean;
         }
     }
-    let count = (columns * rows) as f64;
     let of_squares = sum_of_squares / count - (sum / count).powi(2);
     of_squares * ((SQUARE_PX * SQUARE_PX) as f64) < SCATTER_MAX * variance
 }

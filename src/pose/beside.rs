@@ -11,7 +11,7 @@
 //! let pose = Isometry3::new(Vector3::new(20.0, -10.0, 470.0), Vector3::z() * 0.9);
 //! let drawn = DrawnPair::new(&[(&rod, pose)]);
 //! let [left, _] = drawn.views();
-//! assert!(along_part(&rod, &pose, &left).count() > 10);
+//! assert!(along_part(&rod, &pose, &left).count() > 5);
 //! for place in along_part(&rod, &pose, &left) {
 //!     let is_object = |px: nalgebra::Vector2<f64>| left.mask.get(px.x.round() as i32, px.y.round() as i32);
 //!     assert!(place.wire_px.into_iter().all(is_object) && !is_object(place.floor_px));
@@ -28,14 +28,16 @@ use crate::vision::beside::{BESIDE_PX, Beside, INSIDE};
 use crate::vision::bits::nearest;
 
 /// Stations that are asked, about.
-const STATIONS: usize = 10;
+const STATIONS: usize = 5;
 
 /// By how many grey levels wire is brighter than the floor beside it; the bright line of glossy dark wire is not asked.
 pub fn contrast(place: &Beside, view: &View) -> f64 {
-    let luma = |px: &Vector2<f64>| f64::from(view.profiler.luma.sample(px.x as f32, px.y as f32));
-    let mut wire = place.wire_px.each_ref().map(luma);
-    wire.sort_unstable_by(f64::total_cmp);
-    wire[1] - luma(&place.floor_px)
+    // What lies outside takes the border's.
+    let at = |px: f64| nearest(px).max(0) as usize;
+    let luma = |px: Vector2<f64>| view.profiler.luma.at(at(px.x), at(px.y));
+    let mut wire = place.wire_px.map(luma);
+    wire.sort_unstable();
+    f64::from(wire[1]) - f64::from(luma(place.floor_px))
 }
 
 /// Places along a part in about this pose where the binary picture shows its wire, on either side of it where it shows none.

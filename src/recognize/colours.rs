@@ -18,9 +18,9 @@ use crate::vision::binarize::ColourRange;
 use crate::vision::hue::Colours;
 
 /// Most rough poses that are asked, the fittest first; and how many places of theirs tell, in each picture, and are asked at most.
-const POSES_MAX: usize = 160;
+const POSES_MAX: usize = 48;
 const PLACES_MIN: usize = 24;
-pub(super) const PLACES_MAX: usize = 4096;
+pub(super) const PLACES_MAX: usize = 256;
 /// From this contrast on, in levels, outlines in colours that are sent in half the resolution are displaced no more than those in luma.
 const CLEAN_HUE: f64 = 120.0;
 
@@ -72,7 +72,7 @@ impl Recognizer {
                     places.extend(of_poses.take(PLACES_MAX));
                 }
                 Source::Graphs => {
-                    places.extend(along_edges(picture.graph(), picture.mask()).take(PLACES_MAX));
+                    places.extend(along_edges(picture.graph(), picture.mask(), PLACES_MAX));
                 }
             }
         }

@@ -263,7 +263,7 @@ fn decode_anywhere(
 ) -> Result<(), Fault> {
     baseline.read(kernel, jpeg, output == Output::Grey, end)?;
     match output {
-        Output::Rgb => baseline.write_rgb(out),
+        Output::Rgb => baseline.write_rgb(out, end)?,
         Output::Grey => baseline.write_luma(out),
     }
     Ok(())

@@ -15,6 +15,10 @@ use super::binarize::{self, Luma};
 use crate::frame::colour::Ycbcr;
 use crate::frame::{ColourEncoding, Frame, PixelFormat};
 use crate::level::Level;
+use crate::time::Timestamp;
+
+/// After so many rows it is asked how late it is.
+const CLOCK_STRIDE: usize = 16;
 
 /// The stage: owns the plane.
 #[derive(Clone, Debug)]
@@ -42,23 +46,34 @@ impl LumaPlane {
     /// The luma of `frame`, whose YUV is read by `encoding`. Black where the frame is compressed or of another size, and
     /// where it ends short.
     pub fn run(&mut self, frame: &Frame, encoding: ColourEncoding) -> &Frame {
+        self.run_until(frame, encoding, None);
+        &self.plane
+    }
+
+    /// As [`LumaPlane::run`], broken off at this moment where it is given; says whether there was time.
+    pub fn run_until(&mut self, frame: &Frame, encoding: ColourEncoding, end: Option<Timestamp>) -> bool {
         let Self { level, plane } = self;
         if frame.format == PixelFormat::Mjpeg || (frame.width, frame.height) != (plane.width, plane.height) {
             plane.bytes.fill(0);
-            return plane;
+            return true;
         }
-        let luma = Luma::of(frame);
-        binarize::luma_rows(*level, luma, plane.stride_bytes, &mut plane.bytes);
-        if matches!(frame.format, PixelFormat::Yuyv | PixelFormat::Nv12) {
-            let ycbcr = Ycbcr::new(encoding);
-            if (ycbcr.l_u, ycbcr.l_v) != (0, 0) {
-                with_chroma(frame, &ycbcr, plane);
-            } else if ycbcr.y_offset != 0 {
-                let levels: [u8; 256] = std::array::from_fn(|y| ycbcr.luma(y as u8, 128, 128));
-                plane.bytes.iter_mut().for_each(|y| *y = levels[usize::from(*y)]);
+        let (luma, ycbcr) = (Luma::of(frame), Ycbcr::new(encoding));
+        let is_yuv = matches!(frame.format, PixelFormat::Yuyv | PixelFormat::Nv12);
+        let needs_chroma = is_yuv && (ycbcr.l_u, ycbcr.l_v) != (0, 0);
+        let levels = (is_yuv && !needs_chroma && ycbcr.y_offset != 0)
+            .then(|| std::array::from_fn::<u8, 256, _>(|y| ycbcr.luma(y as u8, 128, 128)));
+        for (y, row) in plane.bytes.chunks_exact_mut(plane.stride_bytes).enumerate() {
+            if y.is_multiple_of(CLOCK_STRIDE) && end.is_some_and(Timestamp::is_past) {
+                return false;
+            }
+            binarize::luma_row(*level, luma, y, row);
+            if needs_chroma {
+                with_chroma(frame, &ycbcr, y, &mut row[..frame.width]);
+            } else if let Some(levels) = &levels {
+                row.iter_mut().for_each(|y| *y = levels[usize::from(*y)]);
             }
         }
-        plane
+        true
     }
 
     /// The plane of the last run.
@@ -67,19 +82,17 @@ impl LumaPlane {
     }
 }
 
-/// Of Y'CbCr by another matrix than BT.601's, where luma depends on chroma as well: `plane` holds Y.
-fn with_chroma(frame: &Frame, ycbcr: &Ycbcr, plane: &mut Frame) {
-    for (y, row) in plane.bytes.chunks_exact_mut(plane.stride_bytes).enumerate() {
-        let (at, step) = match frame.format {
-            PixelFormat::Yuyv => (y * frame.stride_bytes + 1, 4),
-            _ => ((frame.height + y / 2) * frame.stride_bytes, 2),
-        };
-        let chroma = frame.bytes.get(at..).unwrap_or_default().chunks(step);
-        let distance = step / 2;
-        for (pair, chroma) in row[..plane.width].chunks_mut(2).zip(chroma) {
-            let [u, v] = [0, distance].map(|i| chroma.get(i).copied().unwrap_or(128));
-            pair.iter_mut().for_each(|y| *y = ycbcr.luma(*y, u, v));
-        }
+/// Of Y'CbCr by another matrix than BT.601's, where luma depends on chroma as well: row `y` holds Y.
+fn with_chroma(frame: &Frame, ycbcr: &Ycbcr, y: usize, row: &mut [u8]) {
+    let (at, step) = match frame.format {
+        PixelFormat::Yuyv => (y * frame.stride_bytes + 1, 4),
+        _ => ((frame.height + y / 2) * frame.stride_bytes, 2),
+    };
+    let chroma = frame.bytes.get(at..).unwrap_or_default().chunks(step);
+    let distance = step / 2;
+    for (pair, chroma) in row.chunks_mut(2).zip(chroma) {
+        let [u, v] = [0, distance].map(|i| chroma.get(i).copied().unwrap_or(128));
+        pair.iter_mut().for_each(|y| *y = ycbcr.luma(*y, u, v));
     }
 }
 
@@ -122,6 +135,16 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn what_is_late_is_not_begun() {
+        let white = Frame::from_rgb(64, 40, vec![255; 3 * 64 * 40]);
+        let mut stage = LumaPlane::new(64, 40);
+        assert!(!stage.run_until(&white, white.encoding, Some(Timestamp(0))));
+        assert_eq!(stage.plane().luma(0, 0), 0);
+        assert!(stage.run_until(&white, white.encoding, None));
+        assert_eq!(stage.plane().luma(63, 39), 255);
     }
 
     #[test]

@@ -227,9 +227,9 @@ pub(super) fn luma_between(luma: Luma<'_>, ys: Range<usize>, lo: &[u8], hi: &[u8
     }
 }
 
-/// The luma of row `y`; `row` is whole blocks of 64.
+/// See [`super::kernel::luma_row`].
 #[target_feature(enable = "avx2,bmi2")]
-fn luma_row(luma: Luma<'_>, y: usize, row: &mut [u8]) {
+pub(super) fn luma_row(luma: Luma<'_>, y: usize, row: &mut [u8]) {
     let three = |b: &[u8; 192], out: &mut [u8; 64], red_first| {
         store(luma_of_three(b, 0, red_first), luma_of_three(b, 96, red_first), out);
     };
@@ -240,14 +240,6 @@ fn luma_row(luma: Luma<'_>, y: usize, row: &mut [u8]) {
         LumaLayout::Pair => {
             luma.rows.each_of_row(y, row, |b, out| store(luma_of_pairs(b, 0), luma_of_pairs(b, 64), out));
         }
-    }
-}
-
-/// See [`super::kernel::luma_rows`].
-#[target_feature(enable = "avx2,bmi2")]
-pub(super) fn luma_rows(luma: Luma<'_>, stride: usize, out: &mut [u8]) {
-    for (y, row) in out.chunks_exact_mut(stride).enumerate() {
-        luma_row(luma, y, row);
     }
 }
 

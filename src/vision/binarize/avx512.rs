@@ -231,22 +231,14 @@ pub(super) fn luma_between(luma: Luma<'_>, ys: Range<usize>, lo: &[u8], hi: &[u8
     }
 }
 
-/// The luma of row `y`; `row` is whole blocks of 64.
+/// See [`super::kernel::luma_row`].
 #[target_feature(enable = "avx512f,avx512bw,avx512vbmi,avx512vnni,bmi2")]
-fn luma_row(luma: Luma<'_>, y: usize, row: &mut [u8]) {
+pub(super) fn luma_row(luma: Luma<'_>, y: usize, row: &mut [u8]) {
     match luma.layout {
         LumaLayout::Rgb => luma.rows.each_of_row(y, row, |b, out| store(luma_of_three(b, true), out)),
         LumaLayout::Bgr => luma.rows.each_of_row(y, row, |b, out| store(luma_of_three(b, false), out)),
         LumaLayout::Single => luma.rows.each_of_row(y, row, |b: &[u8; 64], out| *out = *b),
         LumaLayout::Pair => luma.rows.each_of_row(y, row, |b, out| store(luma_of_pairs(b), out)),
-    }
-}
-
-/// See [`super::kernel::luma_rows`].
-#[target_feature(enable = "avx512f,avx512bw,avx512vbmi,avx512vnni,bmi2")]
-pub(super) fn luma_rows(luma: Luma<'_>, stride: usize, out: &mut [u8]) {
-    for (y, row) in out.chunks_exact_mut(stride).enumerate() {
-        luma_row(luma, y, row);
     }
 }
 

@@ -128,9 +128,9 @@ pub(super) fn luma_between(
     dispatch!(level, luma_between(luma, ys, lo, hi, bits))
 }
 
-/// The luma of all rows to rows of bytes `stride` apart, which is whole blocks of 64; YUV as it is coded.
-pub(in crate::vision) fn luma_rows(level: Level, luma: Luma<'_>, stride: usize, out: &mut [u8]) {
-    dispatch!(level, luma_rows(luma, stride, out))
+/// The luma of row `y` to whole blocks of 64 bytes; YUV as it is coded.
+pub(in crate::vision) fn luma_row(level: Level, luma: Luma<'_>, y: usize, row: &mut [u8]) {
+    dispatch!(level, luma_row(luma, y, row))
 }
 
 /// Object: brighter, or where `dark` darker, than the background around.

@@ -38,7 +38,7 @@ use super::bits::BitImage;
 use crate::frame::{ColourEncoding, Frame, PixelFormat, colour};
 use crate::level::Level;
 use kernel::{ByteBox, LevelBox};
-pub(super) use kernel::{Luma, luma_rows};
+pub(super) use kernel::{Luma, luma_row};
 use rows::Rows;
 
 /// Which pixels are object.

@@ -99,8 +99,8 @@ pub(super) fn luma_between(luma: Luma<'_>, ys: Range<usize>, lo: &[u8], hi: &[u8
     }
 }
 
-/// The luma of row `y`; `row` is whole blocks of 64.
-fn luma_row(luma: Luma<'_>, y: usize, row: &mut [u8]) {
+/// See [`super::kernel::luma_row`].
+pub(super) fn luma_row(luma: Luma<'_>, y: usize, row: &mut [u8]) {
     match luma.layout {
         LumaLayout::Rgb => luma.rows.each_of_row(y, row, |b, out| *out = luma_of_three::<0>(b)),
         LumaLayout::Bgr => luma.rows.each_of_row(y, row, |b, out| *out = luma_of_three::<2>(b)),
@@ -119,13 +119,6 @@ fn luma_of_three<const RED: usize>(bytes: &[u8; 192]) -> [u8; 64] {
 /// The first of every two bytes.
 fn luma_of_pairs(bytes: &[u8; 128]) -> [u8; 64] {
     std::array::from_fn(|i| bytes[2 * i])
-}
-
-/// See [`super::kernel::luma_rows`].
-pub(super) fn luma_rows(luma: Luma<'_>, stride: usize, out: &mut [u8]) {
-    for (y, row) in out.chunks_exact_mut(stride).enumerate() {
-        luma_row(luma, y, row);
-    }
 }
 
 /// See [`super::kernel::auto`].

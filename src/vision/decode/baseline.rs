@@ -326,12 +326,15 @@ impl Baseline {
         }
     }
 
-    /// Writes the picture that was read as R, G, B.
+    /// Writes the picture that was read as R, G, B. It is asked how late it is with every row of units.
     #[inline(always)]
-    pub(super) fn write_rgb(&mut self, out: &mut [u8]) {
+    pub(super) fn write_rgb(&mut self, out: &mut [u8], end: Option<Timestamp>) -> Result<(), Fault> {
         let (across, down) = (self.components[0].across, self.components[0].down);
         let (columns, rows) = (self.width.div_ceil(across), self.height.div_ceil(down));
         for (y, out) in out.chunks_exact_mut(3 * self.width).enumerate() {
+            if y.is_multiple_of(8 * down) && end.is_some_and(Timestamp::is_past) {
+                return Err(Fault::Late);
+            }
             let luma = &self.samples[0][y * self.strides[0]..][..self.width];
             if self.count == 1 {
                 for (rgb, &y) in out.as_chunks_mut::<3>().0.iter_mut().zip(luma) {
@@ -360,5 +363,6 @@ impl Baseline {
                 planes::rgb_row(luma, &self.wide[0], &self.wide[1], out);
             }
         }
+        Ok(())
     }
 }
