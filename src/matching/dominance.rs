@@ -8,7 +8,8 @@
 //! Adding values of sum X to a mean of sum S over n raises it by (X - x S/n) / (n + x), where x is their number: at most
 //! by (X - x m) / (n' + x') for any m at most S/n, n' at most n, x' at most x, or not at all where that is negative.
 
-use super::exhaustive::{Cost, Exhaustive, Tree};
+use super::costs::Cost;
+use super::exhaustive::{Exhaustive, Tree};
 use super::fitness::UNMATCHED;
 use super::neighbours::QUICK_WORDS;
 use super::rows::CHUNK;
@@ -34,12 +35,14 @@ impl Tree<'_, '_> {
 
     /// Whether a left-out anchor could be matched too, for a fitness no worse, in every match that is still to come.
     pub(super) fn is_dominated(&mut self, depth: usize, open: u32, cost: &Cost) -> bool {
+        if self.may_be_laid(depth, open) {
+            return false;
+        }
         let mut left_out = self.left_out;
         while left_out != 0 {
             let a = left_out.trailing_zeros() as usize;
             left_out &= left_out - 1;
-            let measurable =
-                cost.spans > 0 || self.joints(a).any(|k| self.matched >> self.joint(k).1 & 1 == 1);
+            let measurable = cost.spans > 0 && !self.has_lines() || self.is_joined(a);
             if !measurable || self.search.counts[depth][a] > CANDIDATES_MAX {
                 continue;
             }
@@ -60,6 +63,14 @@ impl Tree<'_, '_> {
             }
         }
         false
+    }
+
+    /// Whether a match that is still to come may be one of which the whole part is laid, though it has spans: how much is missing so
+    /// is not known before.
+    fn may_be_laid(&self, depth: usize, open: u32) -> bool {
+        let may_be_matched =
+            |a: usize| self.matched >> a & 1 == 1 || open >> a & 1 == 1 && self.search.counts[depth][a] != 0;
+        self.has_lines() && (0..self.anchors()).any(|a| may_be_matched(a) && !self.is_joined(a))
     }
 
     /// Whether candidate `n` for anchor `a` goes with every candidate of the open anchors.
@@ -89,13 +100,19 @@ impl Tree<'_, '_> {
         let (mut spans, mut looks) = (0, 0);
         for at in self.joints(a) {
             let (k, other) = self.joint(at);
+            let span = &self.judge.model.spans[k];
+            if span.through & self.matched != 0 {
+                continue;
+            }
             if self.matched >> other & 1 == 1 {
                 let Some(measured) = self.span(k, n as u16, self.chosen[other]) else { return false };
                 length_3d_mm += measured.length_3d_mm as f64;
                 length_2d_px += measured.length_2d_px as f64;
                 missing += measured.missing;
-                spans += 1;
-                looks += 2 * self.judge.model.spans[k].looks;
+                // What may turn out to be no span counts as one where that is worse.
+                if self.is_span(k) {
+                    (spans, looks) = (spans + 1, looks + 2 * span.looks as i32);
+                }
             } else if open >> other & 1 == 1 {
                 let Some(most) = self.most_of(depth, k, n, other) else { return false };
                 length_3d_mm += most.0;
@@ -104,8 +121,14 @@ impl Tree<'_, '_> {
             }
         }
         let (w, model) = (&self.judge.weights, self.judge.model);
-        let spans_max = model.spans.len() as f64;
-        let looks_max: u32 = model.spans.iter().map(|s| 2 * s.looks).sum();
+        // What goes through the anchor is no span any more.
+        for k in self.lines_through(a) {
+            (spans, looks) = (spans - 1, looks - 2 * model.spans[k].looks as i32);
+        }
+        if spans < 0 || looks < 0 {
+            return false;
+        }
+        let (spans_max, looks_max) = self.search.measures.most();
         let matched = self.matched.count_ones();
         let rise =
             |sum: f64, count: f64, mean: f64, base: f64| ((sum - count * mean) / (base + count)).max(0.0);
@@ -113,7 +136,7 @@ impl Tree<'_, '_> {
         let (base, base_looks) = (cost.spans as f64, cost.looks as f64);
         let worse = w.length_3d_per_mm * rise(length_3d_mm, x, cost.length_3d_mm as f64 / spans_max, base)
             + w.length_2d_per_px / 2.0 * rise(length_2d_px, x, cost.length_2d_px as f64 / spans_max, base)
-            + w.missing * rise(missing as f64, x_looks, cost.missing as f64 / looks_max as f64, base_looks)
+            + w.missing * rise(missing as f64, x_looks, cost.missing as f64 / looks_max, base_looks)
             + w.gap_per_px * rise(self.all[n].gap_px as f64, 1.0, 0.0, matched as f64);
         worse <= w.unmatched - MARGIN
     }

@@ -94,7 +94,7 @@ impl DrawnScene {
         if !seen.iter().flatten().all(|px| cameras[0].sees(*px, 12.0)) {
             return;
         }
-        for span in &self.model.spans {
+        for span in self.model.pieces() {
             for step in 0..=400 {
                 let at = points[span.from] + (points[span.to] - points[span.from]) * (step as f64 / 400.0);
                 for side in 0..2 {

@@ -32,13 +32,14 @@
 //! ```
 
 use super::candidates::{Candidate, Candidates};
+use super::costs::{Cost, Rates};
 use super::fitness::{Judge, ROUNDING, StereoMatch, Terms, UNMATCHED, may_be};
 use super::found::Found;
 pub use super::limits::Limits;
-use super::measures::{Measured, Measures};
+use super::measures::Measures;
 use super::neighbours::Neighbours;
 use super::pairs::is_pair;
-use super::problem::ANCHORS_MAX;
+use super::problem::{ANCHORS_MAX, Span};
 use super::rows::{self, CHUNK};
 use crate::level::Level;
 use crate::part::EDGES_MAX;
@@ -71,7 +72,7 @@ impl Exhaustive {
             measures: Measures::new(),
             domains: vec![0; words * (ANCHORS_MAX + 1)],
             counts: vec![[0; ANCHORS_MAX]; ANCHORS_MAX + 1],
-            joints: Vec::with_capacity(2 * (EDGES_MAX + ANCHORS_MAX)),
+            joints: Vec::with_capacity(2 * (EDGES_MAX + ANCHORS_MAX + ANCHORS_MAX * ANCHORS_MAX / 2)),
             joints_from: [0; ANCHORS_MAX + 1],
             nodes_max,
             steps: 0,
@@ -127,6 +128,7 @@ impl Exhaustive {
             left_out: 0,
             rates: [Rates::default(); ANCHORS_MAX + 1],
             spare: anchors as u32 - judge.model.required() as u32,
+            pieces: judge.model.pieces().len(),
         };
         tree.rates[0] = tree.rates_now();
         tree.start();
@@ -148,28 +150,6 @@ impl Exhaustive {
     }
 }
 
-/// What the matched nodes cost already, before weights and means.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Cost {
-    pub(super) length_3d_mm: f32,
-    pub(super) length_2d_px: f32,
-    pub(super) missing: u32,
-    pub(super) gap_px: f32,
-    /// Spans with both ends matched, and looks at both pictures on them.
-    pub(super) spans: u32,
-    pub(super) looks: u32,
-}
-
-/// Weights over the most that a mean can be taken of.
-#[derive(Clone, Copy, Debug, Default)]
-struct Rates {
-    length_3d_per_mm: f64,
-    length_2d_per_px: f64,
-    missing: f64,
-    gap_per_px: f64,
-    left_out: f64,
-}
-
 pub(super) struct Tree<'a, 'j> {
     pub(super) search: &'a mut Exhaustive,
     pub(super) judge: &'a Judge<'j>,
@@ -177,19 +157,21 @@ pub(super) struct Tree<'a, 'j> {
     pub(super) all: &'a [Candidate],
     pub(super) words: usize,
     pub(super) limits: Limits,
-    found: &'a mut Found,
+    pub(super) found: &'a mut Found,
     pub(super) chosen: [u16; ANCHORS_MAX],
     /// Anchors that are matched, one bit each.
     pub(super) matched: u32,
     /// Anchors that were left out, one bit each.
     pub(super) left_out: u32,
     /// By how many were left out on the way here.
-    rates: [Rates; ANCHORS_MAX + 1],
+    pub(super) rates: [Rates; ANCHORS_MAX + 1],
     /// How many anchors may be left out.
     spare: u32,
+    /// How many spans go through no anchor; the others stand behind them.
+    pieces: usize,
 }
 
-impl Tree<'_, '_> {
+impl<'a, 'j> Tree<'a, 'j> {
     pub(super) fn anchors(&self) -> usize {
         self.judge.model.anchors.len()
     }
@@ -227,44 +209,26 @@ impl Tree<'_, '_> {
         }
     }
 
-    /// Where no more matches are kept, those that are no fitter than the kept ones need not be found.
-    fn limit(&self) -> f64 {
-        self.found.threshold(self.limits.fitness_max)
-    }
-
-    /// Spans of an anchor that is left out are not measured: all others are in the mean at most.
-    fn rates_now(&self) -> Rates {
-        let (w, model) = (&self.judge.weights, self.judge.model);
-        let (mut spans, mut looks) = (0, 0);
-        for span in model.spans.iter().filter(|s| (self.left_out >> s.from | self.left_out >> s.to) & 1 == 0)
-        {
-            (spans, looks) = (spans + 1, looks + 2 * span.looks);
-        }
-        let (spans, looks) = (spans.max(1) as f64, looks.max(1) as f64);
-        Rates {
-            length_3d_per_mm: w.length_3d_per_mm / spans,
-            length_2d_per_px: w.length_2d_per_px / (2.0 * spans),
-            missing: w.missing / looks,
-            gap_per_px: w.gap_per_px / model.anchors.len() as f64,
-            left_out: self.left_out.count_ones() as f64 * w.unmatched,
-        }
-    }
-
+    /// Whether span `k` is one, as far as anchors are left out now.
     #[inline]
-    fn rates(&self) -> &Rates {
-        &self.rates[self.left_out.count_ones() as usize]
+    pub(super) fn is_span(&self, k: usize) -> bool {
+        self.judge.model.spans[k].through & !self.left_out == 0
     }
 
-    /// Whether what is matched costs too much already.
+    /// Whether there are spans that go through anchors.
     #[inline]
-    fn is_over(&self, cost: &Cost) -> bool {
-        let r = self.rates();
-        let bound = cost.length_3d_mm as f64 * r.length_3d_per_mm
-            + cost.length_2d_px as f64 * r.length_2d_per_px
-            + cost.missing as f64 * r.missing
-            + cost.gap_px as f64 * r.gap_per_px
-            + r.left_out;
-        bound >= self.limit() * ROUNDING
+    pub(super) fn has_lines(&self) -> bool {
+        self.pieces < self.judge.model.spans.len()
+    }
+
+    /// The spans through this anchor that are spans where it is left out, and both ends of which are matched.
+    pub(super) fn lines_through(&self, anchor: usize) -> impl Iterator<Item = usize> + use<'a, 'j> {
+        let (judge, matched, left_out) = (self.judge, self.matched, self.left_out);
+        let spans = &judge.model.spans;
+        (self.pieces..spans.len()).filter(move |&k| {
+            let Span { from, to, through, .. } = spans[k];
+            through >> anchor & 1 == 1 && matched >> from & matched >> to & 1 == 1 && through & !left_out == 0
+        })
     }
 
     /// `open`: the anchors not decided yet, one bit each.
@@ -294,7 +258,7 @@ impl Tree<'_, '_> {
             // the domains of this depth stay as they are: nothing was matched
             if self.is_viable(depth, rest) {
                 self.rates[self.left_out.count_ones() as usize] = self.rates_now();
-                if !self.is_over(&cost) {
+                if let Some(cost) = self.cost_without(anchor, cost) {
                     self.descend(depth, rest, cost);
                 }
             }
@@ -347,7 +311,7 @@ impl Tree<'_, '_> {
         while bits != 0 {
             let a = bits.trailing_zeros() as usize;
             bits &= bits - 1;
-            let joined = self.joints(a).any(|k| self.matched >> self.joint(k).1 & 1 == 1);
+            let joined = self.is_joined(a);
             let rank = self.search.counts[depth][a] + if joined { 0 } else { 1 << 20 };
             if rank < least {
                 (best, least) = (a, rank);
@@ -356,47 +320,13 @@ impl Tree<'_, '_> {
         best
     }
 
-    /// What span `k` costs between two candidates; `None` where that is too much for any match.
+    /// Whether a span joins it to a matched anchor.
     #[inline]
-    pub(super) fn span(&mut self, k: usize, a: u16, b: u16) -> Option<Measured> {
-        self.search.measures.span(self.judge, self.all, k, a, b)
-    }
-
-    /// Whether candidate `n` for `anchor` puts the fitness over the limit by its place and lengths alone.
-    #[inline]
-    fn is_out_of_length(&self, anchor: usize, n: usize, mut cost: Cost) -> bool {
-        let new = &self.all[n];
-        cost.gap_px += new.gap_px;
-        for at in self.joints(anchor) {
+    pub(super) fn is_joined(&self, anchor: usize) -> bool {
+        self.joints(anchor).any(|at| {
             let (k, other) = self.joint(at);
-            if let Some(other) = self.all.get(self.chosen[other] as usize) {
-                let span = &self.judge.model.spans[k];
-                cost.length_3d_mm += self.judge.length_3d_mm(span, new, other);
-                if self.is_over(&cost) {
-                    return true;
-                }
-                cost.length_2d_px += self.judge.length_2d_px(span, new, other);
-            }
-        }
-        self.is_over(&cost)
-    }
-
-    /// The cost with candidate `n` for `anchor`; `None` where it puts the fitness over the limit.
-    fn cost_with(&mut self, anchor: usize, n: usize, mut cost: Cost) -> Option<Cost> {
-        cost.gap_px += self.all[n].gap_px;
-        for at in self.joints(anchor) {
-            let (k, other) = self.joint(at);
-            if self.matched >> other & 1 == 0 {
-                continue;
-            }
-            let measured = self.span(k, n as u16, self.chosen[other])?;
-            cost.length_3d_mm += measured.length_3d_mm;
-            cost.length_2d_px += measured.length_2d_px;
-            cost.missing += measured.missing;
-            cost.spans += 1;
-            cost.looks += 2 * self.judge.model.spans[k].looks;
-        }
-        (!self.is_over(&cost)).then_some(cost)
+            self.matched >> other & 1 == 1 && self.is_span(k)
+        })
     }
 
     /// The domains of the next depth: of the wanted anchors, what is at the model's distance. Says whether enough of the
@@ -429,15 +359,18 @@ impl Tree<'_, '_> {
     /// be bare.
     fn terms(&mut self, limit: f64) -> Option<Terms> {
         let anchors = self.anchors();
-        let (mut matched, mut gap_px) = (0usize, 0f32);
-        for c in self.chosen[..anchors].iter().filter_map(|&n| self.all.get(n as usize)) {
-            (matched, gap_px) = (matched + 1, gap_px + c.gap_px);
+        let (mut matched, mut gap_px) = (0u32, 0f32);
+        for (a, &n) in self.chosen[..anchors].iter().enumerate() {
+            if let Some(c) = self.all.get(n as usize) {
+                (matched, gap_px) = (matched | 1 << a, gap_px + c.gap_px);
+            }
         }
+        let count = matched.count_ones() as usize;
         let (mut length_3d_mm, mut length_2d_px, mut missing) = (0f64, 0f32, 0);
         let (mut spans, mut looks) = (0.0, 0);
         for (k, span) in self.judge.model.spans.iter().enumerate() {
             let (from, to) = (self.chosen[span.from], self.chosen[span.to]);
-            if from == UNMATCHED || to == UNMATCHED {
+            if from == UNMATCHED || to == UNMATCHED || span.through & matched != 0 {
                 continue;
             }
             let measured = self.search.measures.span(self.judge, self.all, k, from, to)?;
@@ -446,18 +379,23 @@ impl Tree<'_, '_> {
             missing += measured.missing;
             (spans, looks) = (spans + 1.0, looks + 2 * span.looks);
         }
+        let chosen = || self.chosen.map(|n| self.all.get(n as usize));
         if spans == 0.0 {
-            let chosen = self.chosen.map(|n| self.all.get(n as usize));
-            return self.judge.terms(&chosen[..anchors], limit).filter(|t| t.is_match());
+            return self.judge.terms(&chosen()[..anchors], limit).filter(|t| t.is_match());
         }
-        let terms = Terms {
+        let mut terms = Terms {
             length_3d_mm: length_3d_mm / spans,
             length_2d_px: length_2d_px as f64 / (2.0 * spans),
             missing: f64::from(missing) / f64::from(looks),
-            gap_px: gap_px as f64 / matched.max(1) as f64,
-            unmatched: (anchors - matched) as f64,
+            gap_px: gap_px as f64 / count.max(1) as f64,
+            unmatched: (anchors - count) as f64,
             contradictions: 0.0,
         };
+        if self.judge.is_laid(&chosen()[..anchors]) {
+            let others = Terms { missing: 0.0, ..terms };
+            terms.missing =
+                terms.missing.max(self.judge.missing_where_laid(&chosen()[..anchors], &others, limit)?);
+        }
         (terms.fitness(&self.judge.weights) < limit).then_some(terms)
     }
 

@@ -7,6 +7,7 @@ use crate::matching::candidates::Candidate;
 use crate::matching::drawn::DrawnScene;
 use crate::matching::nodes::NodeRole;
 use crate::matching::problem::MatchModel;
+use crate::part::Part;
 use crate::time::Budget;
 
 /// All matches under the threshold but those that are part of one with one node more and no worse, by trying
@@ -78,6 +79,86 @@ proptest! {
     ) {
         let scene = DrawnScene::new(anchors, parts, seed);
         prop_assume!(scene.candidates.all().len().pow(anchors as u32) < 400_000);
+        let (found, search) = exact(&scene, limits(fitness_max, u64::MAX));
+        prop_assert!(search.is_complete());
+        let mut expected = brute_force(&scene.judge(), scene.candidates.all(), fitness_max);
+        expected.sort_by(|a, b| a.fitness.total_cmp(&b.fitness).then(a.nodes.cmp(&b.nodes)));
+        prop_assert_eq!(found.matches(), &expected[..]);
+    }
+}
+
+/// A tee, or a cross, at which straight pieces meet in line.
+fn part_with_lines(ends: usize) -> MatchModel {
+    let ends_mm = [[-25.0, 0.0], [40.0, 0.0], [0.0, 20.0], [0.0, -30.0]];
+    let node = |(n, [x, y]): (usize, &[f64; 2])| {
+        let edge = if n == 0 { String::new() } else { format!("[[edge]]\nfrom = \"0\"\nto = \"{n}\"\n") };
+        (format!("[[node]]\nname = \"{n}\"\nposition_mm = [{x}, {y}, 0.0]\n"), edge)
+    };
+    let places = [[0.0, 0.0]].iter().chain(&ends_mm[..ends]).copied().collect::<Vec<_>>();
+    let (nodes, edges): (String, String) = places.iter().enumerate().map(node).unzip();
+    let grasp = "[grasp]\nposition_mm = [9.0, 0.0, 0.0]\napproach = [0.0, 0.0, -1.0]\nclosing = [0.0, 1.0, 0.0]\nwidth_mm = 9.0\n";
+    let text = format!("name = \"star\"\nthickness_mm = 3.0\n{nodes}{edges}{grasp}");
+    MatchModel::new(&Part::parse(&text, "star.toml").expect("a part"))
+}
+
+/// The scene without so many junctions of its left picture.
+fn without_junctions(mut scene: DrawnScene, hidden: usize) -> DrawnScene {
+    let mut junctions = 0..hidden;
+    scene.nodes[0].retain(|n| n.role != NodeRole::Junction || junctions.next().is_none());
+    let [l, r] = &scene.nodes;
+    scene.gate.run(&scene.rig, l, r, [0.0, 1e9]);
+    scene.candidates.fill(&scene.rig.geometry(), scene.gate.nodes(), l, r, false);
+    scene
+}
+
+#[test]
+fn where_a_junction_is_left_out_the_bar_through_it_is_measured_and_the_leg_is_looked_for() {
+    let scene = without_junctions(DrawnScene::of(part_with_lines(3), 1, 5), 1);
+    let best_of = |scene: &DrawnScene| exact(scene, limits(1.0, u64::MAX)).0.matches().first().copied();
+    let best = best_of(&scene).expect("a match");
+    assert_eq!(best.nodes[..4].iter().filter(|n| **n == UNMATCHED).count(), 1);
+    assert!(best.nodes[0] == UNMATCHED && best.fitness < 0.3, "{best:?}");
+    let chosen_of = |scene: &DrawnScene| {
+        let of = |n: &u16| scene.candidates.all().iter().position(|c| c.stereo == *n);
+        best.nodes[..4].iter().map(of).collect::<Vec<_>>()
+    };
+    let terms_of = |scene: &DrawnScene| {
+        let chosen: Vec<_> = chosen_of(scene).iter().map(|c| c.map(|c| &scene.candidates.all()[c])).collect();
+        scene.judge().terms(&chosen, f64::INFINITY).expect("no limit")
+    };
+    let whole = terms_of(&scene);
+    assert!(whole.length_3d_mm > 0.0 && whole.length_2d_px > 0.0 && whole.missing < 0.05, "{whole:?}");
+    // Wipe out what is drawn on one side of the bar in both pictures: the leg.
+    let mut without_leg = scene.clone();
+    let ends = chosen_of(&scene);
+    for side in 0..2 {
+        let px = |n: usize| scene.candidates.all()[ends[n].expect("matched")].seen_px[side];
+        let ([a, b], leg) = ([px(1), px(2)], px(3));
+        let across = |p: [f32; 2]| {
+            let (x, y) = (b[0] - a[0], b[1] - a[1]);
+            ((p[1] - a[1]) * x - (p[0] - a[0]) * y) / x.hypot(y)
+        };
+        for (x, y) in (0..480).flat_map(|y| (0..640).map(move |x| (x, y))) {
+            if across([x as f32, y as f32]) * across(leg).signum() > 4.0 {
+                without_leg.masks[side].set(x, y, false);
+            }
+        }
+    }
+    let bare = terms_of(&without_leg);
+    assert!(bare.missing > 0.15 && bare.length_3d_mm == whole.length_3d_mm, "{bare:?}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(12))]
+    #[test]
+    fn finds_what_brute_force_finds_where_junctions_are_left_out(
+        (ends, parts) in prop_oneof![Just((3, 2)), Just((4, 1))],
+        hidden in 0usize..3,
+        seed in 0u64..1000,
+        fitness_max in 0.2f64..2.5,
+    ) {
+        let scene = without_junctions(DrawnScene::of(part_with_lines(ends), parts, seed), hidden);
+        prop_assume!((scene.candidates.all().len() + 1).pow(ends as u32 + 1) < 400_000);
         let (found, search) = exact(&scene, limits(fitness_max, u64::MAX));
         prop_assert!(search.is_complete());
         let mut expected = brute_force(&scene.judge(), scene.candidates.all(), fitness_max);

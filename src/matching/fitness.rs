@@ -12,8 +12,9 @@
 //! | nodes of the model without a match | | count | 0.1 |
 //! | contradictions | "penalty" | count | 1 |
 //!
-//! Only spans with both ends matched are measured. Where there is none, the wire of the whole part is looked up, laid
-//! through the matched nodes.
+//! Only spans with both ends matched are measured; where a node is left out at which two of them meet in line, the straight piece
+//! that both make up is one. Where there is none, the wire of the whole part is looked up, laid through the matched nodes; also
+//! where a part has such straight pieces and a matched node is on no span, if more of it is missing so.
 //!
 //! Contradictions are what no part can show: two image nodes that no point in space explains; one image node taken
 //! twice; a node that looks like an end where the part has a bend, or the like; a distance between any two nodes that is
@@ -157,11 +158,7 @@ impl Judge<'_> {
             terms.missing = 1.0;
             if terms.is_match() {
                 terms.missing = 0.0;
-                if !below(&terms) {
-                    return None;
-                }
-                let left = (limit - terms.fitness(&self.weights)) / self.weights.missing;
-                terms.missing = self.missing_where_laid(chosen, left)?;
+                terms.missing = self.missing_where_laid(chosen, &terms, limit)?;
             }
             return Some(terms).filter(below);
         }
@@ -186,8 +183,19 @@ impl Judge<'_> {
                 return None;
             }
         }
-        terms.missing = f64::from(missing) / f64::from(looks);
+        if terms.is_match() && self.is_laid(chosen) {
+            terms.missing = self.missing_where_laid(chosen, &terms, limit)?;
+        }
+        terms.missing = terms.missing.max(f64::from(missing) / f64::from(looks));
         Some(terms).filter(below)
+    }
+
+    /// Whether the part is laid through the matched nodes though spans are measured.
+    pub(super) fn is_laid(&self, chosen: &Chosen) -> bool {
+        let is_on = |a: usize, span: &Span| span.from == a || span.to == a;
+        self.model.pieces().len() < self.model.spans.len()
+            && (0..chosen.len())
+                .any(|a| chosen[a].is_some() && !self.spans(chosen).any(|(span, ..)| is_on(a, span)))
     }
 
     /// The terms that need no span: gap, unmatched and contradictions; `None` where these alone are `limit` or more.
@@ -221,7 +229,8 @@ impl Judge<'_> {
 
     /// The spans with both ends matched by nodes that have a place in space.
     fn spans<'c>(&self, chosen: &'c Chosen) -> impl Iterator<Item = (&Span, &'c Candidate, &'c Candidate)> {
-        self.model.spans.iter().filter_map(|span| {
+        let matched = chosen.iter().enumerate().fold(0, |bits, (a, c)| bits | u32::from(c.is_some()) << a);
+        self.model.spans.iter().filter(move |span| span.through & matched == 0).filter_map(|span| {
             let (a, b) = (chosen[span.from]?, chosen[span.to]?);
             (a.explained && b.explained).then_some((span, a, b))
         })
@@ -285,9 +294,13 @@ impl Judge<'_> {
         px.map(|px| [px.x as f32, px.y as f32])
     }
 
-    /// Share of background on the wire of the part that is laid through the matched nodes; `None` where it is more than
-    /// `most`.
-    fn missing_where_laid(&self, chosen: &Chosen, most: f64) -> Option<f64> {
+    /// Share of background on the wire of the part that is laid through the matched nodes, of which the other terms are known;
+    /// `None` where it takes their fitness to `limit` or more.
+    pub(super) fn missing_where_laid(&self, chosen: &Chosen, others: &Terms, limit: f64) -> Option<f64> {
+        let most = (limit - others.fitness(&self.weights)) / self.weights.missing;
+        if most <= 0.0 {
+            return None;
+        }
         let mut pairs = [(Point3::origin(), Point3::origin()); ANCHORS_MAX];
         let mut count = 0;
         for (anchor, candidate) in self.model.anchors.iter().zip(chosen) {

@@ -134,7 +134,7 @@ impl LengthTable {
         (self.order[0], self.parent[0]) = (0, 0);
         for k in 1..self.anchors {
             let hangs = |a: usize, b: usize| placed >> a & 1 == 1 && placed >> b & 1 == 0;
-            let next = model.spans.iter().find_map(|s| match s {
+            let next = model.pieces().iter().find_map(|s| match s {
                 s if hangs(s.from, s.to) => Some((s.from, s.to)),
                 s if hangs(s.to, s.from) => Some((s.to, s.from)),
                 _ => None,

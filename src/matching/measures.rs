@@ -26,7 +26,7 @@ pub struct Measures {
     alike: Vec<u8>,
     /// Whatever the other spans cost, a match with more is over the limit.
     cost_max: f64,
-    /// Spans of the part, and looks at both pictures on all of them.
+    /// The most spans of the part that are measured in a match, and looks at both pictures on all of them.
     spans: f64,
     looks: f64,
 }
@@ -57,8 +57,15 @@ impl Measures {
             spans[..k].iter().position(same).unwrap_or(k) as u8
         }));
         self.cost_max = fitness_max;
-        self.spans = spans.len().max(1) as f64;
-        self.looks = spans.iter().map(|s| 2 * s.looks).sum::<u32>().max(1) as f64;
+        let pieces = judge.model.pieces();
+        self.spans = pieces.len().max(1) as f64;
+        self.looks = pieces.iter().map(|s| 2 * s.looks).sum::<u32>().max(1) as f64;
+    }
+
+    /// The most spans of the part that are measured in a match, and looks at both pictures on all of them.
+    #[inline]
+    pub fn most(&self) -> (f64, f64) {
+        (self.spans, self.looks)
     }
 
     /// What span `k` of the judge's part costs between two candidates; `None` where no match under the limit has it.

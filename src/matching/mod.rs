@@ -8,6 +8,7 @@
 
 pub mod candidates;
 pub mod claims;
+mod costs;
 mod dominance;
 pub mod drawn;
 pub mod exhaustive;

@@ -74,13 +74,41 @@ pub struct Span {
     pub length_mm: f64,
     /// How many points of it are looked up in each picture.
     pub looks: u32,
+    /// Anchors that lie on it, one bit each: it is a span where all these are left out.
+    pub through: u32,
 }
 
 impl Span {
     /// A straight piece of this length.
     pub fn new(from: usize, to: usize, length_mm: f64) -> Self {
         let looks = (length_mm / LOOK_UP_STEP_MM).ceil().clamp(4.0, 64.0) as u32;
-        Self { from, to, length_mm, looks }
+        Self { from, to, length_mm, looks, through: 0 }
+    }
+
+    /// The straight pieces that are made up of such as meet in line, to within `off_mm`: of a tee its bar.
+    fn of_lines(anchors: &[Anchor], pieces: &[Span], off_mm: f64) -> Vec<Span> {
+        let is_between = |m: usize, [from, to]: [usize; 2]| {
+            let [from, at, to] = [from, m, to].map(|a| anchors[a].position_mm);
+            let (along, here) = (to - from, at - from);
+            let share = here.dot(&along) / along.norm_squared();
+            (0.0..1.0).contains(&share) && (here - along * share).norm() <= off_mm
+        };
+        let mut lines = Vec::new();
+        let mut open: Vec<(usize, usize, u32)> = (0..anchors.len()).map(|begin| (begin, begin, 0)).collect();
+        while let Some((begin, at, before)) = open.pop() {
+            let through = if at == begin { 0 } else { before | 1 << at };
+            let nexts = pieces.iter().filter(|s| s.from == at || s.to == at).map(|s| s.from + s.to - at);
+            for next in nexts.filter(|&next| next != begin && through >> next & 1 == 0) {
+                if (0..anchors.len()).all(|m| through >> m & 1 == 0 || is_between(m, [begin, next])) {
+                    open.push((begin, next, through));
+                    if through != 0 && begin < next {
+                        let length_mm = (anchors[next].position_mm - anchors[begin].position_mm).norm();
+                        lines.push(Span { through, ..Span::new(begin, next, length_mm) });
+                    }
+                }
+            }
+        }
+        lines
     }
 }
 
@@ -155,7 +183,7 @@ fn is_smooth(part: &Part) -> bool {
 pub struct MatchModel {
     /// Its nodes and bends.
     pub anchors: Vec<Anchor>,
-    /// Its straight pieces.
+    /// Its straight pieces, and behind them those that are made up of such as meet in line.
     pub spans: Vec<Span>,
     /// All its wire.
     pub wire: Vec<WirePiece>,
@@ -211,7 +239,7 @@ impl MatchModel {
             spans.push((previous, edge.to));
         }
         assert!(anchors.len() <= ANCHORS_MAX, "part {} has {} nodes and bends", part.name, anchors.len());
-        let spans: Vec<Span> = spans
+        let mut spans: Vec<Span> = spans
             .into_iter()
             .map(|(from, to)| {
                 let along = anchors[to].position_mm - anchors[from].position_mm;
@@ -240,6 +268,10 @@ impl MatchModel {
             .collect();
         let smooth = is_smooth(part);
         let wire = if smooth { WirePiece::of_bends(part) } else { WirePiece::of_spans(&anchors, &spans) };
+        if !part.is_straight() {
+            // Of a straight part no anchor is left out.
+            spans.extend(Span::of_lines(&anchors, &spans, part.thickness_mm / 2.0));
+        }
         Self {
             anchors,
             spans,
@@ -257,6 +289,12 @@ impl MatchModel {
     pub fn required(&self) -> usize {
         let all = self.anchors.len();
         if self.straight { all } else { all.div_ceil(2).max(3).min(all) }
+    }
+
+    /// The spans that go through no anchor.
+    #[inline]
+    pub fn pieces(&self) -> &[Span] {
+        &self.spans[..self.spans.partition_point(|span| span.through == 0)]
     }
 
     /// Distance between two anchors in mm.
@@ -316,6 +354,31 @@ mod tests {
     use std::path::Path;
 
     use super::*;
+
+    #[test]
+    fn pieces_that_meet_in_line_make_up_others() {
+        let lines = |nodes: &[(f64, f64)], edges: &[(usize, usize)]| {
+            let anchor = |&(x, y): &(f64, f64)| Anchor::new(NodeRole::Junction, Point3::new(x, y, 0.0), None);
+            let anchors: Vec<_> = nodes.iter().map(anchor).collect();
+            let length_mm =
+                |from: usize, to: usize| (anchors[to].position_mm - anchors[from].position_mm).norm();
+            let pieces: Vec<_> = edges.iter().map(|&(a, b)| Span::new(a, b, length_mm(a, b))).collect();
+            let mut lines: Vec<_> = Span::of_lines(&anchors, &pieces, 1.0)
+                .iter()
+                .map(|s| (s.from, s.to, s.through, s.length_mm.round()))
+                .collect();
+            lines.sort_by_key(|line| (line.0, line.1));
+            lines
+        };
+        let cross = [(0.0, 0.0), (-20.0, 0.5), (0.0, 25.0), (30.0, 0.0), (0.0, -25.0)];
+        assert_eq!(lines(&cross, &[(0, 1), (0, 2), (0, 3), (4, 0)]), [(1, 3, 1, 50.0), (2, 4, 1, 50.0)]);
+        // A comb: a bar with two teeth.
+        let comb = [(0.0, 0.0), (10.0, 0.0), (30.0, 0.0), (45.0, 0.0), (10.0, 9.0), (30.0, 9.0)];
+        let of_comb = lines(&comb, &[(0, 1), (1, 2), (2, 3), (1, 4), (2, 5)]);
+        assert_eq!(of_comb, [(0, 2, 0b10, 30.0), (0, 3, 0b110, 45.0), (1, 3, 0b100, 35.0)]);
+        let ring = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)];
+        assert_eq!(lines(&ring, &[(0, 1), (1, 2), (2, 3), (3, 0)]), []);
+    }
 
     #[test]
     fn anchors_that_look_alike_are_known() {
