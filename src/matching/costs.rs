@@ -44,7 +44,8 @@ impl Tree<'_, '_> {
         self.found.threshold(self.limits.fitness_max)
     }
 
-    /// Spans of an anchor that is left out are not measured, and those through it are: all others are in the mean at most.
+    /// Spans of an anchor that is left out are not measured, and lines through none but such anchors are: these are in the mean at
+    /// most, for where more anchors are left out no more spans appear than vanish.
     pub(super) fn rates_now(&self) -> Rates {
         let (w, model) = (&self.judge.weights, self.judge.model);
         let (mut spans, mut looks) = (0, 0);

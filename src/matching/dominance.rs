@@ -12,6 +12,7 @@ use super::costs::Cost;
 use super::exhaustive::{Exhaustive, Tree};
 use super::fitness::UNMATCHED;
 use super::neighbours::QUICK_WORDS;
+use super::problem::Span;
 use super::rows::CHUNK;
 
 /// Rounding must not make a match out to be dominated that is not.
@@ -121,13 +122,21 @@ impl Tree<'_, '_> {
             }
         }
         let (w, model) = (&self.judge.weights, self.judge.model);
-        // What goes through the anchor is no span any more.
-        for k in self.lines_through(a) {
-            (spans, looks) = (spans - 1, looks - 2 * model.spans[k].looks as i32);
+        // Lines through the anchor are no spans any more; of those that may be none in the end nothing is known but that they have no
+        // more looks than their pieces.
+        spans -= self.lines_through(a).count() as i32;
+        let may_be_span = |span: &&Span| {
+            let may_be_matched = |end: usize| (self.matched | open) >> end & 1 == 1;
+            let is_open = span.through >> a & 1 == 1 && span.through & self.matched == 0;
+            is_open && may_be_matched(span.from) && may_be_matched(span.to)
+        };
+        for span in model.spans[self.pieces..].iter().filter(may_be_span) {
+            looks -= 2 * span.looks as i32;
         }
-        if spans < 0 || looks < 0 {
+        if spans < 0 {
             return false;
         }
+        let looks = looks.max(0);
         let (spans_max, looks_max) = self.search.measures.most();
         let matched = self.matched.count_ones();
         let rise =

@@ -167,8 +167,8 @@ pub(super) struct Tree<'a, 'j> {
     pub(super) rates: [Rates; ANCHORS_MAX + 1],
     /// How many anchors may be left out.
     spare: u32,
-    /// How many spans go through no anchor; the others stand behind them.
-    pieces: usize,
+    /// How many spans are pieces; the lines stand behind them.
+    pub(super) pieces: usize,
 }
 
 impl<'a, 'j> Tree<'a, 'j> {
@@ -215,13 +215,13 @@ impl<'a, 'j> Tree<'a, 'j> {
         self.judge.model.spans[k].through & !self.left_out == 0
     }
 
-    /// Whether there are spans that go through anchors.
+    /// Whether the part has lines.
     #[inline]
     pub(super) fn has_lines(&self) -> bool {
         self.pieces < self.judge.model.spans.len()
     }
 
-    /// The spans through this anchor that are spans where it is left out, and both ends of which are matched.
+    /// The lines through this anchor that are spans where it is left out, and both ends of which are matched.
     pub(super) fn lines_through(&self, anchor: usize) -> impl Iterator<Item = usize> + use<'a, 'j> {
         let (judge, matched, left_out) = (self.judge, self.matched, self.left_out);
         let spans = &judge.model.spans;
@@ -367,7 +367,7 @@ impl<'a, 'j> Tree<'a, 'j> {
         }
         let count = matched.count_ones() as usize;
         let (mut length_3d_mm, mut length_2d_px, mut missing) = (0f64, 0f32, 0);
-        let (mut spans, mut looks) = (0.0, 0);
+        let (mut spans, mut looks, mut joined) = (0.0, 0, 0u32);
         for (k, span) in self.judge.model.spans.iter().enumerate() {
             let (from, to) = (self.chosen[span.from], self.chosen[span.to]);
             if from == UNMATCHED || to == UNMATCHED || span.through & matched != 0 {
@@ -378,6 +378,7 @@ impl<'a, 'j> Tree<'a, 'j> {
             length_2d_px += measured.length_2d_px;
             missing += measured.missing;
             (spans, looks) = (spans + 1.0, looks + 2 * span.looks);
+            joined |= 1 << span.from | 1 << span.to;
         }
         let chosen = || self.chosen.map(|n| self.all.get(n as usize));
         if spans == 0.0 {
@@ -391,7 +392,7 @@ impl<'a, 'j> Tree<'a, 'j> {
             unmatched: (anchors - count) as f64,
             contradictions: 0.0,
         };
-        if self.judge.is_laid(&chosen()[..anchors]) {
+        if self.has_lines() && matched & !joined != 0 {
             let others = Terms { missing: 0.0, ..terms };
             terms.missing =
                 terms.missing.max(self.judge.missing_where_laid(&chosen()[..anchors], &others, limit)?);

@@ -12,9 +12,9 @@
 //! | nodes of the model without a match | | count | 0.1 |
 //! | contradictions | "penalty" | count | 1 |
 //!
-//! Only spans with both ends matched are measured; where a node is left out at which two of them meet in line, the straight piece
-//! that both make up is one. Where there is none, the wire of the whole part is looked up, laid through the matched nodes; also
-//! where a part has such straight pieces and a matched node is on no span, if more of it is missing so.
+//! Only spans with both ends matched are measured; where a node is left out at which two of them meet in line, the line that both
+//! make up is one. Where there is none, the wire of the whole part is looked up, laid through the matched nodes; of a part with lines
+//! also where a matched node is on no span, if more of it is missing so: a line alone would say nothing of the wire to that node.
 //!
 //! Contradictions are what no part can show: two image nodes that no point in space explains; one image node taken
 //! twice; a node that looks like an end where the part has a bend, or the like; a distance between any two nodes that is
@@ -149,10 +149,11 @@ impl Judge<'_> {
         if !below(&terms) {
             return None;
         }
-        let mut spans = 0.0;
+        let (mut spans, mut joined) = (0.0, 0u32);
         for (span, a, b) in self.spans(chosen) {
             terms.length_3d_mm += self.length_3d_mm(span, a, b) as f64;
             spans += 1.0;
+            joined |= 1 << span.from | 1 << span.to;
         }
         if spans == 0.0 {
             terms.missing = 1.0;
@@ -183,19 +184,12 @@ impl Judge<'_> {
                 return None;
             }
         }
-        if terms.is_match() && self.is_laid(chosen) {
+        let has_lines = self.model.pieces().len() < self.model.spans.len();
+        if terms.is_match() && has_lines && matched(chosen) & !joined != 0 {
             terms.missing = self.missing_where_laid(chosen, &terms, limit)?;
         }
         terms.missing = terms.missing.max(f64::from(missing) / f64::from(looks));
         Some(terms).filter(below)
-    }
-
-    /// Whether the part is laid through the matched nodes though spans are measured.
-    pub(super) fn is_laid(&self, chosen: &Chosen) -> bool {
-        let is_on = |a: usize, span: &Span| span.from == a || span.to == a;
-        self.model.pieces().len() < self.model.spans.len()
-            && (0..chosen.len())
-                .any(|a| chosen[a].is_some() && !self.spans(chosen).any(|(span, ..)| is_on(a, span)))
     }
 
     /// The terms that need no span: gap, unmatched and contradictions; `None` where these alone are `limit` or more.
@@ -229,7 +223,7 @@ impl Judge<'_> {
 
     /// The spans with both ends matched by nodes that have a place in space.
     fn spans<'c>(&self, chosen: &'c Chosen) -> impl Iterator<Item = (&Span, &'c Candidate, &'c Candidate)> {
-        let matched = chosen.iter().enumerate().fold(0, |bits, (a, c)| bits | u32::from(c.is_some()) << a);
+        let matched = matched(chosen);
         self.model.spans.iter().filter(move |span| span.through & matched == 0).filter_map(|span| {
             let (a, b) = (chosen[span.from]?, chosen[span.to]?);
             (a.explained && b.explained).then_some((span, a, b))
@@ -336,6 +330,11 @@ impl Judge<'_> {
         }
         Some(f64::from(all - missing) / f64::from(all)).filter(|share| *share >= least)
     }
+}
+
+/// The anchors that are matched, one bit each.
+fn matched(chosen: &Chosen) -> u32 {
+    chosen.iter().enumerate().fold(0, |bits, (a, c)| bits | u32::from(c.is_some()) << a)
 }
 
 /// The rounding of a bound must not cost a match.

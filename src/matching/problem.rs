@@ -63,7 +63,7 @@ impl Anchor {
 /// Sine of the angle under which two legs lie along one line.
 pub(super) const CORNER_SIN_MIN: f64 = 0.2;
 
-/// A straight piece of wire between two anchors.
+/// Straight wire between two anchors: a piece, or a line of several.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Span {
     /// Index of an anchor.
@@ -74,7 +74,8 @@ pub struct Span {
     pub length_mm: f64,
     /// How many points of it are looked up in each picture.
     pub looks: u32,
-    /// Anchors that lie on it, one bit each: it is a span where all these are left out.
+    /// Of a line, which is made up of several pieces of wire, the anchors on it, one bit each: it is a span where all these are left
+    /// out. Of a piece none.
     pub through: u32,
 }
 
@@ -85,33 +86,56 @@ impl Span {
         Self { from, to, length_mm, looks, through: 0 }
     }
 
-    /// The straight pieces that are made up of such as meet in line, to within `off_mm`: of a tee its bar.
+    /// The lines: straight wire through anchors, made up of pieces that go on in each other and in no third one, to within `off_mm`. Of
+    /// a tee its bar. No piece is in two lines of which neither is a part of the other.
     fn of_lines(anchors: &[Anchor], pieces: &[Span], off_mm: f64) -> Vec<Span> {
+        let other_end = |piece: &Span, at: usize| piece.from + piece.to - at;
         let is_between = |m: usize, [from, to]: [usize; 2]| {
             let [from, at, to] = [from, m, to].map(|a| anchors[a].position_mm);
             let (along, here) = (to - from, at - from);
             let share = here.dot(&along) / along.norm_squared();
             (0.0..1.0).contains(&share) && (here - along * share).norm() <= off_mm
         };
+        // The only piece in which another goes on at one of its ends.
+        let one_beyond = |piece: usize, at: usize| {
+            let from = other_end(&pieces[piece], at);
+            let goes_on = |&k: &usize| {
+                let next = &pieces[k];
+                k != piece
+                    && (next.from == at || next.to == at)
+                    && is_between(at, [from, other_end(next, at)])
+            };
+            let mut all = (0..pieces.len()).filter(goes_on);
+            all.next().filter(|_| all.next().is_none())
+        };
+        let beyond = |piece: usize, at: usize| {
+            one_beyond(piece, at).filter(|&next| one_beyond(next, at) == Some(piece))
+        };
         let mut lines = Vec::new();
-        let mut open: Vec<(usize, usize, u32)> = (0..anchors.len()).map(|begin| (begin, begin, 0)).collect();
-        while let Some((begin, at, before)) = open.pop() {
-            let through = if at == begin { 0 } else { before | 1 << at };
-            let nexts = pieces.iter().filter(|s| s.from == at || s.to == at).map(|s| s.from + s.to - at);
-            for next in nexts.filter(|&next| next != begin && through >> next & 1 == 0) {
-                if (0..anchors.len()).all(|m| through >> m & 1 == 0 || is_between(m, [begin, next])) {
-                    open.push((begin, next, through));
-                    if through != 0 && begin < next {
-                        let length_mm = (anchors[next].position_mm - anchors[begin].position_mm).norm();
-                        lines.push(Span { through, ..Span::new(begin, next, length_mm) });
-                    }
+        for (first, begin) in (0..pieces.len()).flat_map(|k| [(k, pieces[k].from), (k, pieces[k].to)]) {
+            let (mut piece, mut path) = (first, vec![begin, other_end(&pieces[first], begin)]);
+            while let Some(next) = beyond(piece, path[path.len() - 1]) {
+                let end = other_end(&pieces[next], path[path.len() - 1]);
+                // What is a line is one in all its parts: those that do not end here have been asked.
+                let is_line = |i: usize| path[i + 1..].iter().all(|&m| is_between(m, [path[i], end]));
+                if path.contains(&end) || !(0..path.len() - 1).all(is_line) {
+                    break;
                 }
+                if begin < end {
+                    let length_mm = (anchors[end].position_mm - anchors[begin].position_mm).norm();
+                    let through = path[1..].iter().fold(0, |bits, m| bits | 1 << m);
+                    lines.push(Span { through, ..Span::new(begin, end, length_mm) });
+                }
+                path.push(end);
+                piece = next;
             }
         }
         lines
     }
 }
 
+/// How far an anchor may be off the line through it, in thicknesses.
+const LINE_THICKNESSES: f64 = 0.25;
 /// Distance in mm between two points of the wire where foreground is looked up.
 const LOOK_UP_STEP_MM: f64 = 4.0;
 
@@ -183,7 +207,7 @@ fn is_smooth(part: &Part) -> bool {
 pub struct MatchModel {
     /// Its nodes and bends.
     pub anchors: Vec<Anchor>,
-    /// Its straight pieces, and behind them those that are made up of such as meet in line.
+    /// Its straight pieces, and behind them its lines.
     pub spans: Vec<Span>,
     /// All its wire.
     pub wire: Vec<WirePiece>,
@@ -270,7 +294,7 @@ impl MatchModel {
         let wire = if smooth { WirePiece::of_bends(part) } else { WirePiece::of_spans(&anchors, &spans) };
         if !part.is_straight() {
             // Of a straight part no anchor is left out.
-            spans.extend(Span::of_lines(&anchors, &spans, part.thickness_mm / 2.0));
+            spans.extend(Span::of_lines(&anchors, &spans, part.thickness_mm * LINE_THICKNESSES));
         }
         Self {
             anchors,
@@ -291,7 +315,7 @@ impl MatchModel {
         if self.straight { all } else { all.div_ceil(2).max(3).min(all) }
     }
 
-    /// The spans that go through no anchor.
+    /// The spans that are no lines.
     #[inline]
     pub fn pieces(&self) -> &[Span] {
         &self.spans[..self.spans.partition_point(|span| span.through == 0)]
@@ -378,6 +402,14 @@ mod tests {
         assert_eq!(of_comb, [(0, 2, 0b10, 30.0), (0, 3, 0b110, 45.0), (1, 3, 0b100, 35.0)]);
         let ring = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)];
         assert_eq!(lines(&ring, &[(0, 1), (1, 2), (2, 3), (3, 0)]), []);
+        // Where a wire may go on in two others, and where two wires lie between the same anchors, it goes on in none.
+        let fork = [(0.0, 0.0), (-40.0, 0.0), (45.0, 0.9), (50.0, -0.9)];
+        assert_eq!(lines(&fork, &[(0, 1), (0, 2), (0, 3)]), []);
+        let eye = [(0.0, 0.0), (20.0, 0.0), (40.0, 0.0)];
+        assert_eq!(lines(&eye, &[(0, 1), (1, 2), (1, 2)]), []);
+        // Each corner of it lies on the line between its neighbours, but not on the line through all.
+        let arc = [(0.0, 0.0), (20.0, 1.5), (40.0, 1.5), (60.0, 0.0)];
+        assert_eq!(lines(&arc, &[(0, 1), (1, 2), (2, 3)]).len(), 2);
     }
 
     #[test]

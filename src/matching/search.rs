@@ -103,7 +103,7 @@ impl Default for Params {
             fitness_max: 1.0,
             length_tolerance_mm: 6.0,
             matches_max: 256,
-            exact_steps_max: 1_000_000,
+            exact_steps_max: 500_000,
             harmony: Default::default(),
             random: Default::default(),
         }

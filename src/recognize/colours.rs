@@ -17,9 +17,9 @@ use crate::vision::beside::along_edges;
 use crate::vision::binarize::ColourRange;
 use crate::vision::hue::Colours;
 
-/// Most rough poses that are asked, the fittest first; and how many places of theirs tell, in each picture, and are asked at most.
+/// Most rough poses that are asked, the fittest first, as long as they have not given so many places; and how many tell, in each picture.
 const POSES_MAX: usize = 48;
-const PLACES_MIN: usize = 24;
+const PLACES_MIN: usize = 12;
 pub(super) const PLACES_MAX: usize = 256;
 /// From this contrast on, in levels, outlines in colours that are sent in half the resolution are displaced no more than those in luma.
 const CLEAN_HUE: f64 = 120.0;

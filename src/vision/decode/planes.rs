@@ -5,7 +5,7 @@
 const GAINS: [i32; 4] = [91_881, -22_554, -46_802, 116_130];
 
 /// Pixels converted together.
-const BLOCK: usize = 32;
+const BLOCK: usize = 64;
 
 /// One row of Y, Cb and Cr samples to R, G, B.
 #[inline(always)]
