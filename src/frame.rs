@@ -123,10 +123,10 @@ impl Frame {
     /// Bytes of one row of this format and width, without what is between rows; 0 for MJPEG.
     pub fn row_bytes(&self) -> usize {
         match self.format {
-            PixelFormat::Rgb | PixelFormat::Bgr => 3 * self.width,
+            PixelFormat::Rgb | PixelFormat::Bgr => self.width.saturating_mul(3),
             PixelFormat::Grey => self.width,
-            PixelFormat::Yuyv => 2 * self.width.next_multiple_of(2),
-            PixelFormat::Nv12 => self.width.next_multiple_of(2),
+            PixelFormat::Yuyv => self.width.saturating_add(self.width % 2).saturating_mul(2),
+            PixelFormat::Nv12 => self.width.saturating_add(self.width % 2),
             PixelFormat::Mjpeg => 0,
         }
     }
@@ -138,7 +138,7 @@ impl Frame {
             _ => self.row_bytes(),
         };
         let rows = match self.format {
-            PixelFormat::Nv12 => self.height + self.height.div_ceil(2),
+            PixelFormat::Nv12 => self.height.saturating_add(self.height.div_ceil(2)),
             _ => self.height,
         };
         if rows == 0 { 0 } else { (rows - 1).saturating_mul(self.stride_bytes).saturating_add(row) }

@@ -28,8 +28,8 @@
 //! # Ok::<(), pickcell::part::PartError>(())
 //! ```
 
-use firmware_bridge::config::{Gripper, Workspace};
-use firmware_bridge::message::ArmAxes;
+pub use firmware_bridge::config::{Gripper, Workspace};
+pub use firmware_bridge::message::ArmAxes;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 use crate::part::Part;
@@ -279,8 +279,9 @@ fn slides_mm(most_mm: f64) -> impl Iterator<Item = f64> {
 /// Why a part cannot be taken, were it alone in the bin.
 fn out_of_reach(params: &Params, placed: &Placed, grasp: &Grasp) -> Option<Blocked> {
     let gripper = &params.gripper;
-    let is_certain = placed.sigma_mm.max() <= params.sigma_mm_max;
-    if !is_certain {
+    // What is not a number is not certain either.
+    let is_certain = placed.sigma_mm.iter().all(|sigma| *sigma <= params.sigma_mm_max);
+    if !is_certain || !grasp.position_mm.iter().all(|mm| mm.is_finite()) {
         return Some(Blocked::Uncertain);
     }
     if grasp.opening_mm > gripper.opening_max_mm {

@@ -64,11 +64,19 @@
 //! | [`report`] | overlay and stage pictures | cold |
 //! | [`files`] | files written whole or not at all | cold |
 //!
+//! # In another program
+//!
+//! `pickcell = { path = "…" }` in its Cargo.toml is all; signatures speak of [`nalgebra`] and [`rand_pcg`], which are here under these
+//! names in the version that fits. [`recognize::Recognizer`] is the whole way from a pair of frames to grasps; each stage has an example
+//! of its own. Examples read files of this repository, for which `CARGO_MANIFEST_DIR` stands; elsewhere give your own.
+//!
 //! # Frames and units
 //!
 //! Lengths are millimetres (`_mm`), angles degrees in files (`_deg`) and radians inside, durations `_ms`, `_us`, `_ns`.
 //! Camera frames are OpenCV's (x right, y down, z forward); the base is the robot's, z up. Transforms are named by
 //! their frames: `base_from_left`. Pixels are the camera's own, distorted, with pixel centres at whole numbers.
+
+pub use {nalgebra, rand_pcg};
 
 pub mod accuracy;
 pub mod arm;

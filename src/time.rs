@@ -207,7 +207,7 @@ impl Budget {
         match self {
             Budget::Until(end) => {
                 let now = Timestamp::now();
-                Budget::Until(Timestamp(now.0 + (end.since(now) as f64 * share) as i64))
+                Budget::Until(Timestamp(now.0.saturating_add((end.since(now) as f64 * share) as i64)))
             }
             counted => counted,
         }

@@ -5,6 +5,8 @@ use crate::level::Level;
 
 /// Places of a line that are read together; lines have whole blocks of them.
 const BLOCK: usize = 16;
+/// Up to here places are told in 32 bits, 16 of them for the share of a pixel.
+const FIXED_PX_MAX: usize = 1 << 15;
 
 /// The luma of one frame, for measuring edges: format, stride and colour conversion are looked up once, so that
 /// a sample between four pixels takes a few nanoseconds.
@@ -205,12 +207,8 @@ impl<'a> LumaView<'a> {
 
     /// Whether a line has all four pixels around each of its places.
     fn is_line_inside(&self, from: [f64; 2], step: [f64; 2], count: usize) -> bool {
-        let inside = |p: [f64; 2]| {
-            p[0] >= 0.0
-                && p[1] >= 0.0
-                && p[0] < (self.width as f64 - 1.0)
-                && p[1] < (self.height as f64 - 1.0)
-        };
+        let [width, height] = [self.width, self.height].map(|px| px.min(FIXED_PX_MAX) as f64);
+        let inside = |p: [f64; 2]| p[0] >= 0.0 && p[1] >= 0.0 && p[0] < width - 1.0 && p[1] < height - 1.0;
         let last = count.saturating_sub(1) as f64;
         inside(from) && inside([from[0] + step[0] * last, from[1] + step[1] * last])
     }
@@ -329,9 +327,8 @@ impl<'a> LumaView<'a> {
     pub fn profile<const N: usize>(&self, from: [f32; 2], step: [f32; 2]) -> [f32; N] {
         const { assert!(N > 0, "a profile of no places") };
         let last = [0, 1].map(|axis: usize| from[axis] + (N - 1) as f32 * step[axis]);
-        let inside = |p: [f32; 2]| {
-            p[0] >= 1.0 && p[1] >= 1.0 && p[0] < (self.width - 2) as f32 && p[1] < (self.height - 2) as f32
-        };
+        let [width, height] = [self.width, self.height].map(|px| px.min(FIXED_PX_MAX) as f32);
+        let inside = |p: [f32; 2]| p[0] >= 1.0 && p[1] >= 1.0 && p[0] < width - 2.0 && p[1] < height - 2.0;
         // Eight bytes from any of the places on are bytes of the picture.
         let whole = self.width >= 8 && self.height > 2 && inside(from) && inside(last);
         match self.reading {

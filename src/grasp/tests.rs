@@ -85,6 +85,19 @@ fn heights_that_are_not_known_well_do_not_tell_which_lies_on_top() {
 }
 
 #[test]
+fn what_is_not_a_number_is_not_offered() {
+    let offered = |middle_mm, sigma_mm| of_two_known(UPRIGHT, middle_mm, sigma_mm).1[1].is_none();
+    let apart_mm = [200.0, 0.0, 500.0];
+    assert!(offered(apart_mm, 0.1));
+    assert!(!offered(apart_mm, f64::NAN) && !offered(apart_mm, f64::INFINITY));
+    for axis in 0..3 {
+        let mut nowhere_mm = apart_mm;
+        nowhere_mm[axis] = f64::NAN;
+        assert!(!offered(nowhere_mm, 0.1), "{axis}");
+    }
+}
+
+#[test]
 fn fingers_neither_close_on_two_wires_nor_rise_into_another() {
     // Another wire, 2.4 mm thick, whose middle is here in the tool's axes; the tool leans by so much.
     let text =

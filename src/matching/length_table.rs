@@ -114,7 +114,8 @@ impl LengthTable {
                 }
                 rows::within(self.level, candidates.points(), at.point_mm, &limits, &mut self.row);
                 for_bits(&self.row[..words], |n| {
-                    let other = &all[n];
+                    // Behind the last there are others, which are nowhere.
+                    let Some(other) = all.get(n) else { return };
                     let apart = other.left != at.left && other.right != at.right;
                     if apart && may_be(role, other.role) && self.items.len() < ITEMS_MAX {
                         self.items.push(n as u16);

@@ -193,6 +193,9 @@ impl Search {
     }
 
     /// The matches of a part, fittest first.
+    ///
+    /// # Panics
+    /// Where there are not so many parts.
     pub fn matches(&self, part: usize) -> &[StereoMatch] {
         self.turns[part].found.matches()
     }

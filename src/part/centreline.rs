@@ -83,6 +83,9 @@ impl Part {
     }
 
     /// Length of an edge's axis in mm, bends included.
+    ///
+    /// # Panics
+    /// Where there is no such edge.
     pub fn edge_length_mm(&self, edge: usize) -> f64 {
         self.stretches(edge).iter().map(Stretch::length).sum()
     }

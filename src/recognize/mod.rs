@@ -132,7 +132,10 @@ impl Recognizer {
     /// Reserves all memory for pictures of the calibration's size.
     ///
     /// # Errors
-    /// Where the colour range or the region cannot be used.
+    /// Where the colour range, the region or the size of the pictures cannot be used.
+    ///
+    /// # Panics
+    /// Where a part is none that [`Part::read`] takes: without nodes or edges, or with a length that is no positive number.
     pub fn new(params: Params, rig: Rig, parts: Vec<Part>) -> Result<Self, binarize::ParamsError> {
         let [left, right] = params.binarize.clone();
         let picture = |range, camera| Picture::new(range, &params, camera, &parts);
@@ -168,7 +171,7 @@ impl Recognizer {
     }
 
     /// Has a second thread look at the right picture of each pair while this one looks at the left. The result does not
-    /// depend on it.
+    /// depend on it. The other half of [`hands::hands`] must be at [`work`](hands::Helper::work) there, or gone: each pair waits for it.
     pub fn share_with(&mut self, second: hands::Owner) {
         self.second = Some(second);
     }

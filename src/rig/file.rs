@@ -78,7 +78,7 @@ impl Rig {
     }
 
     /// Writes the rig as OpenCV FileStorage YAML, whole or not at all. [`Rig::read`] gives the same numbers back, R
-    /// to rounding.
+    /// to rounding, if it is one that it would take: numbers are not checked here.
     ///
     /// # Errors
     /// [`RigError::TwoSizes`] where the cameras' sizes differ, [`RigError::Write`] where the disk refuses.

@@ -7,7 +7,7 @@ use super::Rig;
 /// The stereo geometry of a [`Rig`], worked out once for the hot path.
 ///
 /// ```
-/// # let rig = pickcell::rig::Rig::read(concat!(env!("CARGO_MANIFEST_DIR"), "/replay/conveyor/calibration.yaml"))?;
+/// let rig = pickcell::rig::Rig::read(concat!(env!("CARGO_MANIFEST_DIR"), "/replay/conveyor/calibration.yaml"))?;
 /// let geometry = rig.geometry();
 /// let point = nalgebra::Point3::new(12.0, -7.0, 480.0);
 /// let left = rig.left.undistort(rig.project_left(&point).unwrap());
@@ -61,7 +61,8 @@ impl StereoGeometry {
     }
 
     /// How far two image points are from being pictures of one point, in pixels, with the sign of the epipolar
-    /// constraint: to first order the root of the summed squared corrections that both need (Sampson distance).
+    /// constraint: to first order the root of the summed squared corrections that both need (Sampson distance). Not a number for
+    /// points that are none, and for such as overflow.
     #[inline]
     pub fn epipolar_offset_px(&self, left_norm: Vector2<f64>, right_norm: Vector2<f64>) -> f64 {
         let line_right = self.essential * left_norm.push(1.0);
@@ -70,7 +71,7 @@ impl StereoGeometry {
         let l = line_left.xy().component_div(&self.focal_left_px);
         let r = line_right.xy().component_div(&self.focal_right_px);
         let gradient = (l.norm_squared() + r.norm_squared()).sqrt();
-        if gradient > 0.0 { c / gradient } else { 0.0 }
+        if gradient == 0.0 { 0.0 } else { c / gradient }
     }
 
     /// The point that both cameras see, with the least reprojection error: the image points are moved onto each

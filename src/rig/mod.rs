@@ -6,8 +6,8 @@
 //! formats: OpenCV FileStorage YAML, read and written, and pairs of ROS camera_info.
 //!
 //! ```
-//! # use nalgebra::Point3;
-//! # let path = concat!(env!("CARGO_MANIFEST_DIR"), "/replay/conveyor/calibration.yaml");
+//! use nalgebra::Point3;
+//! let path = concat!(env!("CARGO_MANIFEST_DIR"), "/replay/conveyor/calibration.yaml");
 //! let rig = pickcell::rig::Rig::read(path)?;
 //! let point = Point3::new(12.0, -7.0, 480.0);
 //! let left = rig.left.undistort(rig.project_left(&point).unwrap());
@@ -79,7 +79,7 @@ impl Rig {
     /// cameras do not fix the point (not in front of both, on the baseline, at infinity).
     ///
     /// ```
-    /// # let rig = pickcell::rig::Rig::read(concat!(env!("CARGO_MANIFEST_DIR"), "/replay/conveyor/calibration.yaml"))?;
+    /// let rig = pickcell::rig::Rig::read(concat!(env!("CARGO_MANIFEST_DIR"), "/replay/conveyor/calibration.yaml"))?;
     /// let covariance = rig.triangulation_covariance(&nalgebra::Point3::new(0.0, 0.0, 480.0), 0.2).unwrap();
     /// let [across_mm, along_mm] = [covariance.m22, covariance.m33].map(f64::sqrt);
     /// assert!(across_mm < 0.15 && along_mm > 3.0 * across_mm, "depth is known least");

@@ -1,6 +1,7 @@
 //! A picture file, or a picture message of a recording, as a [`Frame`].
 
-use std::io::Cursor;
+use std::fs::File;
+use std::io::{self, Cursor, Read};
 use std::path::{Path, PathBuf};
 
 use image::metadata::Orientation;
@@ -109,13 +110,25 @@ pub enum PictureError {
 /// # Errors
 /// It cannot be read, is no picture, or larger than the cell takes.
 pub fn read_picture(path: &Path) -> Result<Frame, PictureError> {
-    let bytes =
-        std::fs::read(path).map_err(|reason| PictureError::Unreadable { path: path.to_owned(), reason })?;
+    let bytes = read_up_to(path, FILE_BYTES_MAX)
+        .map_err(|reason| PictureError::Unreadable { path: path.to_owned(), reason })?;
     // Messages of a recording are as their camera sent them, and played as such.
     if is_to_be_turned(&bytes) {
         return Err(PictureError::Turned { path: path.to_owned() });
     }
     from_file(bytes, path)
+}
+
+/// No picture that is taken has a larger file: a device that never ends must not fill the memory.
+const FILE_BYTES_MAX: u64 = 256 << 20;
+
+fn read_up_to(path: &Path, most: u64) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    File::open(path)?.take(most + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > most {
+        return Err(io::Error::new(io::ErrorKind::FileTooLarge, format!("larger than {} MiB", most >> 20)));
+    }
+    Ok(bytes)
 }
 
 /// Whether the EXIF orientation of a picture is another than 1; of a PNG if it stands before the picture, as cameras write it.

@@ -115,7 +115,7 @@ fn even_bits(mut word: u64) -> u64 {
 pub fn halve_luma(luma: &Frame, half: &mut Frame) {
     assert_eq!((half.width, half.height), (luma.width / 2, luma.height / 2), "half the size");
     let row = |y: usize| &luma.bytes[y * luma.stride_bytes..][..2 * half.width];
-    for (y, into) in half.bytes.chunks_mut(half.stride_bytes).take(half.height).enumerate() {
+    for (y, into) in half.bytes.chunks_mut(half.stride_bytes.max(1)).take(half.height).enumerate() {
         let upper = row(2 * y).chunks_exact(2);
         let lower = row(2 * y + 1).chunks_exact(2);
         for (mean, (upper, lower)) in into.iter_mut().zip(upper.zip(lower)) {

@@ -137,7 +137,7 @@ pub(super) fn run(
 ) {
     let Auto { grid, row, end } = auto;
     for y in 0..grid.rows {
-        luma_row(y * grid.step + grid.step / 2, row);
+        luma_row((y * grid.step + grid.step / 2).min(grid.height - 1), row);
         grid.sample(y, row);
     }
     let is_found = match dark {
@@ -152,9 +152,10 @@ pub(super) fn run(
     let half = grid.step / 2;
     for band in 0..2 * grid.rows {
         let last = if band + 1 == 2 * grid.rows { bits.height() } else { (band + 1) * half };
+        let ys = (band * half).min(bits.height())..last.min(bits.height());
         grid.spread(band, row);
         let (lo, hi) = if dark { (&*end, &*row) } else { (&*row, &*end) };
-        luma_between(band * half..last, lo, hi, bits);
+        luma_between(ys, lo, hi, bits);
     }
 }
 
@@ -168,6 +169,7 @@ impl Grid {
         let mut region_of_samples = vec![0; columns * rows];
         for (i, sample) in region_of_samples.iter_mut().enumerate() {
             let (x, y) = (i % columns * step + step / 2, i / columns * step + step / 2);
+            let (x, y) = (x.min(width - 1), y.min(height - 1));
             if region.is_none_or(|r| r.get(x as i32, y as i32)) {
                 *sample = 255;
             }
@@ -195,12 +197,14 @@ impl Grid {
     #[inline(always)]
     fn sample(&mut self, row: usize, luma: &[u8]) {
         let out = &mut self.level[row * self.pitch..][..self.columns];
-        if self.step == 8 {
+        // A picture narrower than half a step has its border's.
+        let first = (self.step / 2).min(self.width - 1);
+        if self.step == 8 && first == 4 {
             for (out, eight) in out.iter_mut().zip(luma.as_chunks::<8>().0) {
                 *out = eight[4];
             }
         } else {
-            for (out, &v) in out.iter_mut().zip(luma[self.step / 2..].iter().step_by(self.step)) {
+            for (out, &v) in out.iter_mut().zip(luma[first..].iter().step_by(self.step)) {
                 *out = v;
             }
         }

@@ -420,6 +420,31 @@ fn a_lone_part_between_the_samples_is_found_and_a_rim_beside_a_dark_wall_is_not(
 }
 
 #[test]
+fn a_threshold_reads_no_pixel_outside_of_the_picture() {
+    for (width, height) in [(2000, 6), (640, 3), (12, 1736), (1, 7681), (64, 8192), (1, 1)] {
+        let stride_bytes = width + 6;
+        let frame = |beside: u8| {
+            let mut bytes = vec![beside; stride_bytes * height + 9];
+            for (y, row) in bytes.chunks_mut(stride_bytes).take(height).enumerate() {
+                let level = |x: usize| if (x + y) % 100 < 4 { 220 } else { 90 };
+                row[..width].iter_mut().enumerate().for_each(|(x, pixel)| *pixel = level(x));
+            }
+            Frame { stride_bytes, bytes, ..Frame::from_grey(width, height, vec![0; width * height]) }
+        };
+        for &level in Level::available() {
+            let masks = [0, 90, 255].map(|beside| {
+                let params = Params { colour: ColourRange::Auto, ..Params::default() };
+                let mut bits = BitImage::new(width, height);
+                let mut binarize = Binarize::with_level(params, width, height, level).expect("a size");
+                let _ = binarize.run(&frame(beside), &mut bits);
+                bits
+            });
+            assert!(masks[0] == masks[1] && masks[1] == masks[2], "{width}x{height} {level:?}");
+        }
+    }
+}
+
+#[test]
 fn noise_is_refused_and_no_empty_picture() {
     // One pixel in four of every fourth row.
     let specks = |count: usize| {

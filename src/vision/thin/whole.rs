@@ -164,7 +164,7 @@ impl Blocks {
     }
 
     fn find(&mut self, skeleton: &BitImage) {
-        for (strip, words) in self.skeleton.chunks_exact_mut(self.blocks).enumerate() {
+        for (strip, words) in self.skeleton.chunks_exact_mut(self.blocks.max(1)).enumerate() {
             for (word, rows) in words.iter_mut().zip(blocks(skeleton, strip)) {
                 *word = any(rows);
             }
