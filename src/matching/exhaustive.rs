@@ -6,7 +6,8 @@
 //! fewest candidates among those that a span joins to a matched one; it is matched with each of them in turn, then left
 //! out, as long as enough remain ([`MatchModel::required`](super::problem::MatchModel::required)). What lengths, gaps,
 //! background and left-out anchors cost already bounds the fitness from below; a span's pixels are read when its second
-//! end is matched and the lengths have passed, and only once ([`measures`](super::measures)).
+//! end is matched and the lengths have passed, and only once ([`measures`](super::measures)). Where an anchor is left out,
+//! a line through it is a span from then on.
 //!
 //! Given are all matches under the limit but those that are part of a fitter one with one node more: they hold the
 //! same pose with less to prove it. Where a left-out anchor has a candidate that goes with all that may still be

@@ -87,7 +87,7 @@ impl Span {
     }
 
     /// The lines: straight wire through anchors, made up of pieces that go on in each other and in no third one, to within `off_mm`. Of
-    /// a tee its bar. No piece is in two lines of which neither is a part of the other.
+    /// a tee its bar. Of those that share a piece no two are spans of one match.
     fn of_lines(anchors: &[Anchor], pieces: &[Span], off_mm: f64) -> Vec<Span> {
         let other_end = |piece: &Span, at: usize| piece.from + piece.to - at;
         let is_between = |m: usize, [from, to]: [usize; 2]| {
