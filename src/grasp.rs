@@ -110,6 +110,13 @@ impl Default for Params {
     }
 }
 
+impl Params {
+    /// Whether a position with these standard deviations, mm, is known well enough. What is not a number is not.
+    pub fn is_certain(&self, sigma_mm: &Vector3<f64>) -> bool {
+        sigma_mm.iter().all(|sigma| *sigma <= self.sigma_mm_max)
+    }
+}
+
 /// How the gripper takes a part, in the base frame (without one: in the left camera's).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Grasp {
@@ -279,9 +286,7 @@ fn slides_mm(most_mm: f64) -> impl Iterator<Item = f64> {
 /// Why a part cannot be taken, were it alone in the bin.
 fn out_of_reach(params: &Params, placed: &Placed, grasp: &Grasp) -> Option<Blocked> {
     let gripper = &params.gripper;
-    // What is not a number is not certain either.
-    let is_certain = placed.sigma_mm.iter().all(|sigma| *sigma <= params.sigma_mm_max);
-    if !is_certain || !grasp.position_mm.iter().all(|mm| mm.is_finite()) {
+    if !params.is_certain(&placed.sigma_mm) || !grasp.position_mm.iter().all(|mm| mm.is_finite()) {
         return Some(Blocked::Uncertain);
     }
     if grasp.opening_mm > gripper.opening_max_mm {

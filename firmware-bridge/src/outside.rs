@@ -29,13 +29,22 @@ pub fn read_text(path: &Path) -> io::Result<String> {
 /// # Errors
 /// What the system says; a file larger than 16 MiB; a pipe, which may never have an end.
 pub fn read_bytes(path: &Path) -> io::Result<Vec<u8>> {
+    read_up_to(path, TEXT_BYTES_MAX)
+}
+
+/// The bytes of a file of at most so many.
+///
+/// # Errors
+/// What the system says; a larger file; a pipe, which may never have an end.
+pub fn read_up_to(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     if std::fs::metadata(path)?.file_type().is_fifo() {
         return Err(io::Error::new(io::ErrorKind::InvalidInput, "a pipe, not a file"));
     }
     let mut bytes = Vec::new();
-    File::open(path)?.take(TEXT_BYTES_MAX + 1).read_to_end(&mut bytes)?;
-    if bytes.len() as u64 > TEXT_BYTES_MAX {
-        return Err(io::Error::new(io::ErrorKind::FileTooLarge, "larger than 16 MiB, which no such file is"));
+    File::open(path)?.take(most + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > most {
+        let reason = format!("larger than {} MiB, which no such file is", most >> 20);
+        return Err(io::Error::new(io::ErrorKind::FileTooLarge, reason));
     }
     Ok(bytes)
 }

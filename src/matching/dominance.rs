@@ -43,7 +43,7 @@ impl Tree<'_, '_> {
         while left_out != 0 {
             let a = left_out.trailing_zeros() as usize;
             left_out &= left_out - 1;
-            let measurable = cost.spans > 0 && !self.has_lines() || self.is_joined(a);
+            let measurable = cost.spans > 0 && !self.judge.model.has_lines() || self.is_joined(a);
             if !measurable || self.search.counts[depth][a] > CANDIDATES_MAX {
                 continue;
             }
@@ -71,7 +71,7 @@ impl Tree<'_, '_> {
     fn may_be_laid(&self, depth: usize, open: u32) -> bool {
         let may_be_matched =
             |a: usize| self.matched >> a & 1 == 1 || open >> a & 1 == 1 && self.search.counts[depth][a] != 0;
-        self.has_lines() && (0..self.anchors()).any(|a| may_be_matched(a) && !self.is_joined(a))
+        self.judge.model.has_lines() && (0..self.anchors()).any(|a| may_be_matched(a) && !self.is_joined(a))
     }
 
     /// Whether candidate `n` for anchor `a` goes with every candidate of the open anchors.
@@ -125,12 +125,12 @@ impl Tree<'_, '_> {
         // Lines through the anchor are no spans any more; of those that may be none in the end nothing is known but that they have no
         // more looks than their pieces.
         spans -= self.lines_through(a).count() as i32;
-        let may_be_span = |span: &&Span| {
+        let may_be_span = |span: &Span| {
             let may_be_matched = |end: usize| (self.matched | open) >> end & 1 == 1;
             let is_open = span.through >> a & 1 == 1 && span.through & self.matched == 0;
             is_open && may_be_matched(span.from) && may_be_matched(span.to)
         };
-        for span in model.spans[self.pieces..].iter().filter(may_be_span) {
+        for (_, span) in model.lines().filter(|(_, span)| may_be_span(span)) {
             looks -= 2 * span.looks as i32;
         }
         if spans < 0 {

@@ -73,6 +73,7 @@ impl Exhaustive {
             measures: Measures::new(),
             domains: vec![0; words * (ANCHORS_MAX + 1)],
             counts: vec![[0; ANCHORS_MAX]; ANCHORS_MAX + 1],
+            // Pieces of edges, which bend at anchors, and a line between any two anchors, at both of their ends.
             joints: Vec::with_capacity(2 * (EDGES_MAX + ANCHORS_MAX + ANCHORS_MAX * ANCHORS_MAX / 2)),
             joints_from: [0; ANCHORS_MAX + 1],
             nodes_max,
@@ -129,7 +130,6 @@ impl Exhaustive {
             left_out: 0,
             rates: [Rates::default(); ANCHORS_MAX + 1],
             spare: anchors as u32 - judge.model.required() as u32,
-            pieces: judge.model.pieces().len(),
         };
         tree.rates[0] = tree.rates_now();
         tree.start();
@@ -168,8 +168,6 @@ pub(super) struct Tree<'a, 'j> {
     pub(super) rates: [Rates; ANCHORS_MAX + 1],
     /// How many anchors may be left out.
     spare: u32,
-    /// How many spans are pieces; the lines stand behind them.
-    pub(super) pieces: usize,
 }
 
 impl<'a, 'j> Tree<'a, 'j> {
@@ -216,20 +214,14 @@ impl<'a, 'j> Tree<'a, 'j> {
         self.judge.model.spans[k].through & !self.left_out == 0
     }
 
-    /// Whether the part has lines.
-    #[inline]
-    pub(super) fn has_lines(&self) -> bool {
-        self.pieces < self.judge.model.spans.len()
-    }
-
     /// The lines through this anchor that are spans where it is left out, and both ends of which are matched.
     pub(super) fn lines_through(&self, anchor: usize) -> impl Iterator<Item = usize> + use<'a, 'j> {
-        let (judge, matched, left_out) = (self.judge, self.matched, self.left_out);
-        let spans = &judge.model.spans;
-        (self.pieces..spans.len()).filter(move |&k| {
-            let Span { from, to, through, .. } = spans[k];
-            through >> anchor & 1 == 1 && matched >> from & matched >> to & 1 == 1 && through & !left_out == 0
-        })
+        let (matched, left_out) = (self.matched, self.left_out);
+        let is_one = move |span: &Span| {
+            let are_matched = matched >> span.from & matched >> span.to & 1 == 1;
+            span.through >> anchor & 1 == 1 && span.through & !left_out == 0 && are_matched
+        };
+        self.judge.model.lines().filter(move |(_, span)| is_one(span)).map(|(k, _)| k)
     }
 
     /// `open`: the anchors not decided yet, one bit each.
@@ -393,7 +385,7 @@ impl<'a, 'j> Tree<'a, 'j> {
             unmatched: (anchors - count) as f64,
             contradictions: 0.0,
         };
-        if self.has_lines() && matched & !joined != 0 {
+        if self.judge.model.has_lines() && matched & !joined != 0 {
             let others = Terms { missing: 0.0, ..terms };
             terms.missing =
                 terms.missing.max(self.judge.missing_where_laid(&chosen()[..anchors], &others, limit)?);

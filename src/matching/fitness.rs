@@ -184,8 +184,7 @@ impl Judge<'_> {
                 return None;
             }
         }
-        let has_lines = self.model.pieces().len() < self.model.spans.len();
-        if terms.is_match() && has_lines && matched(chosen) & !joined != 0 {
+        if terms.is_match() && self.model.has_lines() && matched(chosen) & !joined != 0 {
             terms.missing = self.missing_where_laid(chosen, &terms, limit)?;
         }
         terms.missing = terms.missing.max(f64::from(missing) / f64::from(looks));

@@ -321,6 +321,18 @@ impl MatchModel {
         &self.spans[..self.spans.partition_point(|span| span.through == 0)]
     }
 
+    /// Whether it has lines.
+    #[inline]
+    pub fn has_lines(&self) -> bool {
+        self.spans.last().is_some_and(|span| span.through != 0)
+    }
+
+    /// The lines with their indices among the spans, last first.
+    #[inline]
+    pub fn lines(&self) -> impl Iterator<Item = (usize, &Span)> {
+        self.spans.iter().enumerate().rev().take_while(|(_, span)| span.through != 0)
+    }
+
     /// Distance between two anchors in mm.
     #[inline]
     pub fn distance_mm(&self, a: usize, b: usize) -> f64 {

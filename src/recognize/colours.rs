@@ -17,7 +17,7 @@ use crate::vision::beside::along_edges;
 use crate::vision::binarize::ColourRange;
 use crate::vision::hue::Colours;
 
-/// Most rough poses that are asked, the fittest first, as long as they have not given so many places; and how many tell, in each picture.
+/// Most rough poses that are asked, the fittest first; the least places that tell, in each picture, and the most that are asked there.
 const POSES_MAX: usize = 48;
 const PLACES_MIN: usize = 12;
 pub(super) const PLACES_MAX: usize = 256;

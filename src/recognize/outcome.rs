@@ -63,9 +63,8 @@ impl Recognizer {
             if grasp.slid_mm != 0.0 {
                 found.slide_to(grasp, &params.grasp, &parts[found.part], explanation);
             }
-            let is_certain = found.sigma_mm.iter().all(|sigma| *sigma <= params.grasp.sigma_mm_max);
             let uncertain = match found.proven {
-                true => (!is_certain).then_some(Blocked::Uncertain),
+                true => (!params.grasp.is_certain(&found.sigma_mm)).then_some(Blocked::Uncertain),
                 false => Some(Blocked::Unproven),
             };
             found.blocked = blocked.or(uncertain).or(turned).or_else(|| {

@@ -1,9 +1,9 @@
 //! A picture file, or a picture message of a recording, as a [`Frame`].
 
-use std::fs::File;
-use std::io::{self, Cursor, Read};
+use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
+use firmware_bridge::outside::read_up_to;
 use image::metadata::Orientation;
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 
@@ -121,15 +121,6 @@ pub fn read_picture(path: &Path) -> Result<Frame, PictureError> {
 
 /// No picture that is taken has a larger file: a device that never ends must not fill the memory.
 const FILE_BYTES_MAX: u64 = 256 << 20;
-
-fn read_up_to(path: &Path, most: u64) -> io::Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    File::open(path)?.take(most + 1).read_to_end(&mut bytes)?;
-    if bytes.len() as u64 > most {
-        return Err(io::Error::new(io::ErrorKind::FileTooLarge, format!("larger than {} MiB", most >> 20)));
-    }
-    Ok(bytes)
-}
 
 /// Whether the EXIF orientation of a picture is another than 1; of a PNG if it stands before the picture, as cameras write it.
 fn is_to_be_turned(bytes: &[u8]) -> bool {

@@ -23,6 +23,7 @@ use nalgebra::{Vector2, Vector3};
 use super::beside::Beside;
 use super::bits::nearest;
 use super::halve::in_whole;
+use super::luma::CLOCK_ROWS;
 use crate::frame::colour::{LUMA_SHIFT, LUMA_WEIGHTS};
 use crate::frame::{ColourEncoding, Frame, PixelFormat, RgbView};
 use crate::time::Timestamp;
@@ -30,8 +31,6 @@ use crate::time::Timestamp;
 /// Grey values of the floor's colour, and of the parts'.
 const FLOOR: f64 = 64.0;
 const PARTS: f64 = 192.0;
-/// After so many rows it is asked how late it is.
-const CLOCK_STRIDE: usize = 16;
 /// What differs by less, in levels, differs by rounding.
 const ROUNDING: f64 = 1.0;
 /// Places on wire, and as many beside it, that tell colours.
@@ -200,7 +199,7 @@ impl HuePlane {
             hue.max(gloss.min(PARTS as f32)) as u8
         };
         for (y, out) in plane.bytes.chunks_exact_mut(plane.width).enumerate() {
-            if y.is_multiple_of(CLOCK_STRIDE) && end.is_some_and(Timestamp::is_past) {
+            if y.is_multiple_of(CLOCK_ROWS) && end.is_some_and(Timestamp::is_past) {
                 return false;
             }
             if frame.format == PixelFormat::Rgb {

@@ -18,7 +18,7 @@ use crate::level::Level;
 use crate::time::Timestamp;
 
 /// After so many rows it is asked how late it is.
-const CLOCK_STRIDE: usize = 16;
+pub(super) const CLOCK_ROWS: usize = 16;
 
 /// The stage: owns the plane.
 #[derive(Clone, Debug)]
@@ -63,7 +63,7 @@ impl LumaPlane {
         let levels = (is_yuv && !needs_chroma && ycbcr.y_offset != 0)
             .then(|| std::array::from_fn::<u8, 256, _>(|y| ycbcr.luma(y as u8, 128, 128)));
         for (y, row) in plane.bytes.chunks_exact_mut(plane.stride_bytes).enumerate() {
-            if y.is_multiple_of(CLOCK_STRIDE) && end.is_some_and(Timestamp::is_past) {
+            if y.is_multiple_of(CLOCK_ROWS) && end.is_some_and(Timestamp::is_past) {
                 return false;
             }
             binarize::luma_row(*level, luma, y, row);

@@ -273,14 +273,10 @@ impl Binarize {
     /// [`Refusal`] for frames of another size, compressed or short ones.
     pub fn check(&self, frame: &Frame) -> Result<(), Refusal> {
         self.check_size(frame.width, frame.height)?;
-        let row_bytes = match frame.format {
-            PixelFormat::Mjpeg => return Err(Refusal::Compressed),
-            PixelFormat::Rgb | PixelFormat::Bgr => 3 * frame.width,
-            PixelFormat::Grey => frame.width,
-            PixelFormat::Yuyv => 2 * frame.width.next_multiple_of(2),
-            PixelFormat::Nv12 => frame.width.next_multiple_of(2),
-        };
-        if frame.stride_bytes < row_bytes {
+        if frame.format == PixelFormat::Mjpeg {
+            return Err(Refusal::Compressed);
+        }
+        if frame.stride_bytes < frame.row_bytes() {
             return Err(Refusal::Stride { stride_bytes: frame.stride_bytes, width: frame.width });
         }
         let (bytes, needed) = (frame.bytes.len(), frame.bytes_needed());
