@@ -116,7 +116,7 @@ pub enum Grab {
     },
     /// Nothing within the time given; the frame is as it was.
     TimedOut,
-    /// The camera has just stopped giving frames. Said once; further grabs try to open it again with back-off.
+    /// The camera gives no frames. Said once a reason; further grabs try to open it again with back-off.
     Lost(Trouble),
     /// It is open again, its controls are set. Said once.
     Back,

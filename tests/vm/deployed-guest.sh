@@ -7,9 +7,10 @@ cd /src
 say() { echo "[$(cut -d' ' -f1 /proc/uptime)] $*"; }
 finish() { say "$1"; touch "/out/$1"; sync; systemctl poweroff -ff; exit; }
 fail() {
-    say "FAILED: $*"
     systemctl --no-pager -l status pickcell pickcell-bridge
     journalctl --no-pager -b -o short-precise -u pickcell -u pickcell-bridge | tail -200
+    # Last, where a cut log still shows it.
+    say "FAILED: $*"
     finish failed
 }
 # expect WHAT COMMAND...: the command succeeds within 60 s.

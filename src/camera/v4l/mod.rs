@@ -76,7 +76,8 @@ pub struct V4lCamera {
     stream: Option<Stream>,
     retry_at: Timestamp,
     pause: Duration,
-    was_lost: bool,
+    /// Why it gives no frames, as was last said.
+    lost: Option<Trouble>,
     unknown_clock_told: bool,
     told: Option<String>,
     sleep: Sleep,
@@ -121,7 +122,7 @@ impl V4lCamera {
             stream: None,
             retry_at: Timestamp::default(),
             pause: REOPEN_PAUSE.0,
-            was_lost: false,
+            lost: None,
             unknown_clock_told: false,
             told: None,
             sleep: Sleep::until_now(Clocks::now),
@@ -190,7 +191,7 @@ impl V4lCamera {
         }
         let now = clocks.cell;
         stream.quiet_until = now.after(stall_after(&self.settings));
-        if std::mem::take(&mut self.was_lost) {
+        if self.lost.take().is_some() {
             self.pause = REOPEN_PAUSE.0;
             self.told = None;
             // The frame that proved it is old by the time anyone hears of it: the next one counts.
@@ -225,13 +226,14 @@ impl V4lCamera {
         }
     }
 
-    /// Closes the camera; the cell hears of it once, until there are frames again.
+    /// Closes the camera; until there are frames again the cell hears of it once a reason: a cable that was pulled and
+    /// goes into a port without bandwidth is no longer unplugged.
     fn lose(&mut self, trouble: Trouble) -> Grab {
         if let Some(stream) = self.stream.take() {
             stream.buffers.stop(&stream.device);
         }
         self.back_off();
-        match std::mem::replace(&mut self.was_lost, true) {
+        match self.lost.replace(trouble) == Some(trouble) {
             true => Grab::TimedOut,
             false => Grab::Lost(trouble),
         }

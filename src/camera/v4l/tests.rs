@@ -63,6 +63,18 @@ fn a_camera_that_never_came_is_lost_once_and_looked_for() {
 }
 
 #[test]
+fn a_lost_camera_in_whose_place_another_device_comes_says_so() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let link = folder.path().join("camera");
+    let mut camera = V4lCamera::closed(settings(&link.to_string_lossy()));
+    let mut grab = || camera.grab(&mut Frame::default(), Duration::from_secs(60));
+    assert_eq!(grab(), Grab::Lost(Trouble::Unplugged));
+    std::os::unix::fs::symlink("/dev/null", link).expect("a link");
+    let news: Vec<Grab> = (0..6).map(|_| grab()).filter(|&grab| grab != Grab::TimedOut).collect();
+    assert_eq!(news, [Grab::Lost(Trouble::NotAsAsked)]);
+}
+
+#[test]
 fn a_stamp_is_the_drivers_where_its_clock_is_known() {
     let (began, now) = (Timestamp(5_000_000_000), Timestamp(50_000_000_000));
     let sleep = never_slept();

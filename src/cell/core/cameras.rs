@@ -16,8 +16,8 @@ pub(super) struct CameraState {
     pub(super) last_arrival: Option<Timestamp>,
     /// That frame's time stamp and number.
     pub(super) last_frame: Option<(Timestamp, u32)>,
-    /// It was said that it gives nothing.
-    pub(super) lost: bool,
+    /// Why it gives nothing, as was last said.
+    pub(super) lost: Option<Alarm>,
     /// A session that is over.
     pub(super) ended: bool,
 }
@@ -25,10 +25,18 @@ pub(super) struct CameraState {
 impl Core {
     pub(super) fn lose_camera(&mut self, side: Side, alarm: Alarm, actions: &mut Actions) {
         let camera = &mut self.cameras[side.index()];
-        if !camera.lost {
-            camera.lost = true;
+        let said = camera.lost;
+        if said.is_none() {
             camera.last_frame = None;
             self.counts.add(Cause::CameraLost, 1);
+        }
+        // What the camera says itself tells more than its silence, whichever came first.
+        let is_news = match alarm {
+            Alarm::CameraSilent { .. } => said.is_none(),
+            _ => said != Some(alarm),
+        };
+        if is_news {
+            camera.lost = Some(alarm);
             actions.say(Note::Alarm(alarm));
         }
         if let Some(handle) = self.pairing.forget(side) {
@@ -54,7 +62,7 @@ impl Core {
     }
 
     pub(super) fn camera_is_back(&mut self, side: Side, actions: &mut Actions) {
-        if std::mem::take(&mut self.cameras[side.index()].lost) {
+        if self.cameras[side.index()].lost.take().is_some() {
             actions.say(Note::CameraBack { side });
         }
     }

@@ -18,7 +18,7 @@ pub const CANDIDATES_MAX: usize = 8;
 pub enum Event {
     /// A camera delivered a frame.
     Frame(FrameSeen),
-    /// A camera stopped giving frames.
+    /// A camera gives no frames, or still none for another reason.
     CameraLost {
         /// Which.
         side: Side,

@@ -216,7 +216,7 @@ impl Core {
     /// When the core wants an `Event::Tick` at the latest.
     pub fn next_tick(&self) -> Option<Timestamp> {
         let silence = |camera: &CameraState| match camera {
-            CameraState { lost: true, .. } | CameraState { ended: true, .. } => None,
+            CameraState { lost: Some(_), .. } | CameraState { ended: true, .. } => None,
             camera => camera.last_arrival.map(|t| Timestamp(t.0.saturating_add(self.params.silence_ns))),
         };
         let phase = match self.phase {

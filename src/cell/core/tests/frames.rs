@@ -116,6 +116,23 @@ fn a_lost_camera_lets_go_of_its_waiting_frame() {
 }
 
 #[test]
+fn a_lost_camera_says_why_whenever_the_reason_is_another() {
+    let mut bench = Bench::new(params(), &settings(""));
+    bench.arm(Report::Connected { session: 3, held_by: HeldBy::Start });
+    bench.pass(800 * MS);
+    assert_eq!(bench.alarms(), Side::BOTH.map(|side| Alarm::CameraSilent { side }));
+    for trouble in [Trouble::Unplugged, Trouble::NoBandwidth, Trouble::Unplugged] {
+        bench.event(Event::CameraLost { side: Side::Left, trouble });
+        assert_eq!(bench.alarms(), [Alarm::CameraLost { side: Side::Left, trouble }]);
+        bench.event(Event::CameraLost { side: Side::Left, trouble });
+        assert_eq!(bench.alarms(), []);
+        bench.pass(5000 * MS);
+        assert_eq!(bench.alarms(), []);
+    }
+    assert_eq!(bench.count(Cause::CameraLost), 2, "each camera once, however often the reason changes");
+}
+
+#[test]
 fn a_suspend_lets_go_of_waiting_frames_and_is_neither_silence_nor_a_gap() {
     let mut bench = Bench::new(params(), &settings(""));
     let frame = bench.frame(Side::Left, bench.now);
