@@ -1,14 +1,14 @@
 //! Which pairs of image nodes may show the same point: the candidates that all searches take.
 //!
 //! The epipolar test comes first, in single precision and for all right nodes of a left one in a row; only what it
-//! leaves is triangulated. What is in a bin lies at about one depth: where enough ends and bends have but one partner,
+//! leaves, and what shows wire in the same directions in both pictures, is triangulated. What is in a bin lies at about one depth: where enough ends and bends have but one partner,
 //! these tell it, and pairs far from it are left out. With [`Mode::None`] a pair is left out only where it shows no point in
 //! space, or lies farther from the line than any camera that was calibrated once.
 
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix2, Vector2, Vector3};
 
-use super::nodes::{ImageNode, NodeRole};
-use super::problem::{StereoNode, common_role};
+use super::nodes::{ImageNode, LEGS_MAX, NodeRole};
+use super::problem::{StereoNode, common_role, is_same_direction};
 use super::rows::{self, CHUNK, for_bits};
 use crate::level::Level;
 use crate::rig::{Rig, StereoGeometry};
@@ -16,7 +16,7 @@ use crate::rig::{Rig, StereoGeometry};
 /// Which nodes of the right picture may go with a node of the left one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Mode {
-    /// Those near its epipolar line, at a depth and of a thickness that a part can have.
+    /// Those near its epipolar line that wire leaves in the same directions, at a depth and of a thickness that a part can have.
     #[default]
     Epipolar,
     /// All: what does not fit is left to the fitness.
@@ -35,6 +35,9 @@ pub struct GateParams {
     /// Distance from the epipolar line at most with [`Mode::None`], in pixels. One such node costs a match of two a
     /// fitness of 1 by default.
     pub open_gap_px_max: f64,
+    /// Cosine of the angle between the directions in which both pictures show the same wire, at least: up to 30 degrees
+    /// for its slope, and what a short piece of skeleton tells amiss.
+    pub leg_cos_min: f64,
     /// Depth of a part's points in the left camera's frame, in mm.
     pub depth_mm: [f64; 2],
     /// From so many ends and bends on that have but one partner these tell the depth of all.
@@ -54,6 +57,7 @@ impl Default for GateParams {
             gap_px_max: 2.0,
             junction_gap_px_max: 5.0,
             open_gap_px_max: 40.0,
+            leg_cos_min: std::f64::consts::FRAC_1_SQRT_2,
             depth_mm: [100.0, 2000.0],
             only_min: 6,
             depth_factor: 1.3,
@@ -150,6 +154,7 @@ impl Gate {
         self.truncated = false;
         let geometry = rig.geometry();
         let focal_px = (rig.right.fx + rig.right.fy) / 2.0;
+        let across = rig.right_from_left_across();
         let Self { params, nodes, level, right_rays, near, truncated, .. } = self;
         let words = right.len().div_ceil(CHUNK);
         for (axis, list) in right_rays.iter_mut().enumerate() {
@@ -169,7 +174,9 @@ impl Gate {
             for_bits(near, |j| {
                 let r = &right[j];
                 let gap_px = (scaled.x * xs[j] + scaled.y * ys[j] + scaled.z).abs() as f64;
-                if common_role(l.role, r.role).is_none_or(|role| gap_px > params.gap_max(role)) {
+                if common_role(l.role, r.role).is_none_or(|role| gap_px > params.gap_max(role))
+                    || params.mode == Mode::Epipolar && !shows_same_wire(params, &across, l, r)
+                {
                     return;
                 }
                 let Some((node, z_mm)) = stereo_node(params, &geometry, [left, right], i, j, gap_px) else {
@@ -220,6 +227,20 @@ impl Gate {
         let factor = params.depth_factor;
         nodes.retain(|n| (nearest / factor..=farthest * factor).contains(&n.point_mm.z));
     }
+}
+
+/// Whether wire leaves two nodes in the same direction: a bend in two of them, any other in one at least. `across` as in
+/// [`is_same_direction`].
+fn shows_same_wire(params: &GateParams, across: &Matrix2<f64>, l: &ImageNode, r: &ImageNode) -> bool {
+    let [left, right] = [l, r].map(ImageNode::legs);
+    // Of a node with more wire than it has room for not all of it is known.
+    let is_known = |legs: usize| (1..LEGS_MAX).contains(&legs);
+    if !is_known(left.len()) || !is_known(right.len()) {
+        return true;
+    }
+    let is_shown = |leg| right.iter().any(|r| is_same_direction(across, leg, r, params.leg_cos_min));
+    let wanted = if [l, r].iter().all(|node| node.role == NodeRole::Bend) { 2 } else { 1 };
+    left.iter().filter(|leg| is_shown(leg)).nth(wanted - 1).is_some()
 }
 
 fn thickness_fits(
@@ -277,12 +298,44 @@ pub(super) fn gap_px(geometry: &StereoGeometry, left: &ImageNode, right: &ImageN
 mod tests {
     use super::*;
     use crate::matching::drawn::DrawnScene;
+    use crate::matching::nodes::Leg;
+    use crate::rig::CameraModel;
 
     /// Whether a pair shows an end or bend of a part that was drawn.
     fn is_true(scene: &DrawnScene, node: &StereoNode) -> bool {
         let anchors = || scene.model.anchors.iter().map(|a| a.position_mm);
         let mut points = scene.left_from_part.iter().flat_map(|pose| anchors().map(move |p| pose * p));
         points.any(|p| (p - node.point_mm).norm() < 10.0)
+    }
+
+    #[test]
+    fn nodes_that_wire_leaves_in_other_directions_are_no_pair() {
+        let rig = DrawnScene::new(2, 1, 1).rig;
+        let is_pair = |left_deg: &[f64], right_deg: &[f64], role| {
+            let node = |camera: &CameraModel, place_px: Vector2<f64>, legs_deg: &[f64]| {
+                let mut node = ImageNode::bare(role, place_px, camera);
+                for angle_deg in legs_deg {
+                    let (sin, cos) = angle_deg.to_radians().sin_cos();
+                    node.push_leg(Leg { direction_px: Vector2::new(cos, sin), ..Leg::default() });
+                }
+                node
+            };
+            let left_px = Vector2::new(400.0, 240.0);
+            let point_mm = rig.left.undistort(left_px).push(1.0) * 480.0;
+            let right_px = rig.project_right(&point_mm.into()).expect("before the right camera");
+            let (left, right) = (node(&rig.left, left_px, left_deg), node(&rig.right, right_px, right_deg));
+            let mut gate = Gate::new(GateParams::default());
+            gate.run(&rig, &[left], &[right], [0.0, 1e9]);
+            gate.nodes().len() == 1
+        };
+        let (end, junction, bend) = (NodeRole::End, NodeRole::Junction, NodeRole::Bend);
+        assert!(is_pair(&[20.0], &[50.0], end) && !is_pair(&[20.0], &[200.0], end));
+        // One wire of a junction may be the same, both of a bend must be.
+        assert!(is_pair(&[0.0, 90.0, 180.0], &[100.0, 220.0, 310.0], junction));
+        assert!(!is_pair(&[0.0, 90.0], &[160.0, 250.0], junction));
+        assert!(is_pair(&[0.0, 90.0], &[10.0, 80.0], bend) && !is_pair(&[0.0, 90.0], &[10.0, 180.0], bend));
+        // Nothing is known of a node without wire, and not all of one with more than there is room for.
+        assert!(is_pair(&[], &[0.0], end) && is_pair(&[0.0; LEGS_MAX], &[180.0], junction));
     }
 
     #[test]

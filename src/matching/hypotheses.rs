@@ -34,7 +34,7 @@ use super::fitness::{Judge, StereoMatch, UNMATCHED};
 use super::lines::on_level;
 use super::nodes::{ImageNode, NodeRole};
 use super::placement::{motion_of_directions, rigid_motion};
-use super::problem::{ANCHORS_MAX, Anchor, MatchModel, StereoNode, leg_direction};
+use super::problem::{ANCHORS_MAX, Anchor, MatchModel, StereoNode, is_same_direction, leg_direction};
 use crate::rig::Rig;
 
 /// A rough pose of a part.
@@ -360,10 +360,7 @@ fn space_legs(
 ) -> ArrayVec<SpaceLeg, SPACE_LEGS_MAX> {
     let across = rig.right_from_left_across();
     let pairs = left.legs().iter().flat_map(|l| right.legs().iter().map(move |r| (l, r)));
-    let alike = pairs.filter(|(l, r)| {
-        let seen_by_right = across * l.direction_px;
-        seen_by_right.dot(&r.direction_px) >= ALIKE_COS_MIN * seen_by_right.norm()
-    });
+    let alike = pairs.filter(|(l, r)| is_same_direction(&across, l, r, ALIKE_COS_MIN));
     let legs = alike.filter_map(|(l, r)| match leg_direction(rig, l, r) {
         Some((direction, hold)) if hold >= params.hold_min => Some(SpaceLeg { direction, towards: None }),
         _ => level_direction(node, l, down)

@@ -3,7 +3,7 @@
 //! A stereo node is a node of the left picture and a node of the right one that may show the same point, with that
 //! point in space; [`gate`](super::gate) lists them.
 
-use nalgebra::{Point3, Vector2, Vector3};
+use nalgebra::{Matrix2, Point3, Vector2, Vector3};
 
 use super::nodes::{Leg, NodeRole};
 use crate::part::{Part, PartEdge, Symmetry};
@@ -368,6 +368,13 @@ pub(super) fn common_role(left: NodeRole, right: NodeRole) -> Option<NodeRole> {
         (Junction, _) | (_, Junction) => Some(Junction),
         _ => None,
     }
+}
+
+/// Whether a leg of the left picture and one of the right lead in the same direction, to within an angle of this cosine;
+/// `across` is [`Rig::right_from_left_across`].
+pub(super) fn is_same_direction(across: &Matrix2<f64>, left: &Leg, right: &Leg, cos_min: f64) -> bool {
+    let seen_by_right = across * left.direction_px;
+    seen_by_right.dot(&right.direction_px) >= cos_min * seen_by_right.norm()
 }
 
 /// Direction in space of a leg seen in both pictures, and how well it is held (0 to 1: the sine of the angle

@@ -185,15 +185,20 @@ const END_RADII: f64 = 2.2;
 /// Where more than one end is seen this far from where it should be, they are not those of the part.
 const END_OFFSET_PX_MAX: f64 = 1.5;
 
+/// How far wire may go on beyond a bent part and beyond a straight one, whose ends are each seen in a picture, in radii, if they are
+/// to be proved: the edge of a wire that lies across looks like an end in one picture.
+const GOES_ON_RADII_MAX: [f64; 2] = [1.5, 2.5];
+
 /// Whether a part is proved to lie there: the pictures do not contradict its pose, and it cannot have slid along itself, for
 /// nothing speaks against it, or each free end is seen in a picture, or it is bent. `overrun_mm`: how far wire goes on beyond
 /// it that is not known to be another's; two wires that cross look like the legs of a bent part that goes on.
 pub fn is_proven(model: &PoseModel, fit: &Fit, verdict: &Verdict, overrun_mm: f64) -> bool {
-    let is_held = verdict.ends_shown as usize == model.ends.len()
-        || match model.straight_along {
-            Some(_) => is_sound(fit, verdict, verdict.overrun_mm),
-            None => overrun_mm <= 1.5 * model.radius_mm,
-        };
+    let shows_ends = verdict.ends_shown as usize == model.ends.len();
+    let [bent, straight] = GOES_ON_RADII_MAX.map(|radii| overrun_mm <= radii * model.radius_mm);
+    let is_held = match model.straight_along {
+        Some(_) => shows_ends && straight || is_sound(fit, verdict, verdict.overrun_mm),
+        None => shows_ends || bent,
+    };
     is_held
         && verdict.end_offset_px < END_OFFSET_PX_MAX
         && missing(verdict) <= MISSING_MAX
@@ -417,6 +422,8 @@ mod tests {
         assert!(proven("hook.toml", 1.2, 0) && !proven("hook.toml", 1.6, 2));
         assert!(proven("rod-90.toml", 1.2, 2) && !proven("rod-90.toml", 1.2, 1));
         assert!(!proven("rod-90.toml", 1.6, 2));
+        // An end that only one picture shows may be the edge of a wire that lies across: beyond it the rod goes on.
+        assert!(held("rod-90.toml", &shown(2), 0.5, 2.0) && !held("rod-90.toml", &shown(2), 0.5, 7.5));
     }
 
     #[test]

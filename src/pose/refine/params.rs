@@ -28,8 +28,8 @@ pub struct Params {
     pub coarse_rounds: u32,
     /// Rounds with the grey values, at most.
     pub fine_rounds: u32,
-    /// Share of background along the wire up to which a rough pose is refined of which no end is seen: nothing would
-    /// move it along the wire any more. Twice what [a part may have](crate::matching::select::Params::missing_max) as a rule.
+    /// Share of background along the wire up to which a [coarse](super::Refine::coarse) pose is refined: half more than [a part
+    /// may have](crate::matching::select::Params::missing_max).
     pub missing_max: f64,
 }
 
@@ -47,7 +47,7 @@ impl Default for Params {
             end_reach_radii: 0.03,
             coarse_rounds: 2,
             fine_rounds: 6,
-            missing_max: 0.16,
+            missing_max: 0.12,
         }
     }
 }

@@ -20,8 +20,8 @@ const NEAR: (f64, [f64; 2]) = (3.5, [1.5, 0.5]);
 const NEAR_MISFIT_MAX: f64 = 1.0;
 
 impl Refine {
-    /// Moves `start`, a rough pose, to where the binary pictures and the ends have it. `None` where nothing would hold it
-    /// along the wire.
+    /// Moves `start`, a rough pose, to where the binary pictures and the ends have it. `None` where too much of the wire is
+    /// [missing](super::Params::missing_max) there: what moves the pose afterwards is pixels.
     pub fn coarse(
         &mut self,
         model: &PoseModel,
@@ -38,10 +38,7 @@ impl Refine {
                 break;
             }
         }
-        if !self.shows_end() && self.missing(model, &pose, views) > self.params.missing_max {
-            return None;
-        }
-        Some(pose)
+        (self.missing(model, &pose, views) <= self.params.missing_max).then_some(pose)
     }
 
     /// Moves `start`, a rough pose, to where the grey values near it have the part: where wires touch, the binary pictures
@@ -122,4 +119,30 @@ fn coarse_stride(model: &PoseModel) -> usize {
 /// How far a small twist about the part's centre moves its ends, at most.
 fn reach_mm(model: &PoseModel, twist: &Vector6<f64>) -> f64 {
     twist.fixed_rows::<3>(0).norm() + twist.fixed_rows::<3>(3).norm() * model.length_mm / 2.0
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Translation3, Vector3};
+
+    use super::super::Params;
+    use super::*;
+    use crate::part::Part;
+    use crate::pose::drawn::DrawnPair;
+
+    #[test]
+    fn a_rough_pose_half_of_which_lies_on_the_floor_is_none_though_an_end_of_it_is_seen() {
+        let [short, long] = ["rod-60", "rod-90"].map(|name| {
+            let file = format!("{}/replay/parts/{name}.toml", env!("CARGO_MANIFEST_DIR"));
+            PoseModel::new(&Part::read(file).expect("a part"))
+        });
+        let lies = Isometry3::new(Vector3::new(0.0, 0.0, 470.0), Vector3::new(0.0, 0.0, 0.9));
+        let drawn = DrawnPair::new(&[(&short, lies)]);
+        let mut refine = Refine::new(Params { lift_radii: 0.0, ..Params::default() }, &drawn.rig);
+        assert!(refine.coarse(&short, &lies, &drawn.views()).is_some());
+        // From the same end on.
+        let shift_mm = short.straight_mm[0][0] - long.straight_mm[0][0];
+        assert_eq!(refine.coarse(&long, &(lies * Translation3::from(shift_mm)), &drawn.views()), None);
+        assert!(refine.shows_end());
+    }
 }
