@@ -1,9 +1,10 @@
 //! Which pairs of image nodes may show the same point: the candidates that all searches take.
 //!
-//! The epipolar test comes first, in single precision and for all right nodes of a left one in a row; only what it
-//! leaves, and what shows wire in the same directions in both pictures, is triangulated. What is in a bin lies at about one depth: where enough ends and bends have but one partner,
-//! these tell it, and pairs far from it are left out. With [`Mode::None`] a pair is left out only where it shows no point in
-//! space, or lies farther from the line than any camera that was calibrated once.
+//! The epipolar test comes first, in single precision and for all right nodes of a left one in a row; what wire leaves in
+//! other directions in one picture than in the other goes next, and only what is left is triangulated. What is in a bin lies at
+//! about one depth: where enough ends and bends have but one partner, these tell it, and pairs far from it are left out. With
+//! [`Mode::None`] a pair is left out only where it shows no point in space, or lies farther from the line than any camera that
+//! was calibrated once.
 
 use nalgebra::{Matrix2, Vector2, Vector3};
 
@@ -16,7 +17,7 @@ use crate::rig::{Rig, StereoGeometry};
 /// Which nodes of the right picture may go with a node of the left one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Mode {
-    /// Those near its epipolar line that wire leaves in the same directions, at a depth and of a thickness that a part can have.
+    /// Those near its epipolar line that wire leaves in the same direction, at a depth and of a thickness that a part can have.
     #[default]
     Epipolar,
     /// All: what does not fit is left to the fitness.
@@ -239,8 +240,8 @@ fn shows_same_wire(params: &GateParams, across: &Matrix2<f64>, l: &ImageNode, r:
         return true;
     }
     let is_shown = |leg| right.iter().any(|r| is_same_direction(across, leg, r, params.leg_cos_min));
-    let wanted = if [l, r].iter().all(|node| node.role == NodeRole::Bend) { 2 } else { 1 };
-    left.iter().filter(|leg| is_shown(leg)).nth(wanted - 1).is_some()
+    let wanted = if common_role(l.role, r.role) == Some(NodeRole::Bend) { 2 } else { 1 };
+    left.iter().filter(|leg| is_shown(leg)).count() >= wanted
 }
 
 fn thickness_fits(

@@ -185,19 +185,23 @@ const END_RADII: f64 = 2.2;
 /// Where more than one end is seen this far from where it should be, they are not those of the part.
 const END_OFFSET_PX_MAX: f64 = 1.5;
 
-/// How far wire may go on beyond a bent part and beyond a straight one, whose ends are each seen in a picture, in radii, if they are
-/// to be proved: the edge of a wire that lies across looks like an end in one picture.
-const GOES_ON_RADII_MAX: [f64; 2] = [1.5, 2.5];
+/// How far wire may go on beyond what is proved, in radii: beyond a bent part not all of whose ends are seen, and beyond a straight
+/// one, though each end is seen in a picture. The edge of a wire across looks like an end in one.
+const BENT_GOES_ON_RADII_MAX: f64 = 1.5;
+const STRAIGHT_GOES_ON_RADII_MAX: f64 = 2.5;
 
 /// Whether a part is proved to lie there: the pictures do not contradict its pose, and it cannot have slid along itself, for
 /// nothing speaks against it, or each free end is seen in a picture, or it is bent. `overrun_mm`: how far wire goes on beyond
 /// it that is not known to be another's; two wires that cross look like the legs of a bent part that goes on.
 pub fn is_proven(model: &PoseModel, fit: &Fit, verdict: &Verdict, overrun_mm: f64) -> bool {
     let shows_ends = verdict.ends_shown as usize == model.ends.len();
-    let [bent, straight] = GOES_ON_RADII_MAX.map(|radii| overrun_mm <= radii * model.radius_mm);
+    let stops_within = |radii: f64| overrun_mm <= radii * model.radius_mm;
     let is_held = match model.straight_along {
-        Some(_) => shows_ends && straight || is_sound(fit, verdict, verdict.overrun_mm),
-        None => shows_ends || bent,
+        Some(_) => {
+            shows_ends && stops_within(STRAIGHT_GOES_ON_RADII_MAX)
+                || is_sound(fit, verdict, verdict.overrun_mm)
+        }
+        None => shows_ends || stops_within(BENT_GOES_ON_RADII_MAX),
     };
     is_held
         && verdict.end_offset_px < END_OFFSET_PX_MAX
