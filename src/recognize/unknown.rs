@@ -33,13 +33,13 @@ pub(super) struct Unknown {
     left_and_right_px: [Vec<Vector2<f64>>; 2],
 }
 
-/// What of a part that is to be taken wire may come near.
+/// Where wire would be in the way of a part that is to be taken.
 #[derive(Clone, Copy)]
-enum Near {
+enum Place {
     /// Where the fingers come down.
     Fingers,
-    /// Its own wire, which the other then crosses or lies beside.
-    Wire,
+    /// Beside this piece of its wire, which the other then crosses or lies along.
+    Beside(usize),
 }
 
 /// A part that is to be taken, and what is known of it.
@@ -77,12 +77,10 @@ impl Unknown {
         pictures: &[Picture; 2],
         claims: &[ClaimMap; 2],
     ) -> bool {
-        let comes_near = |near: &[Near]| {
-            let wire_px = &self.left_and_right_px;
-            [0, 1].into_iter().all(|side: usize| taken.is_met(side, wire_px[side].iter().copied(), near))
-        };
-        comes_near(&[Near::Fingers])
-            || comes_near(&[Near::Wire])
+        let wire_px = |side: usize| self.left_and_right_px[side].iter().copied();
+        // What is at a place shows there in both.
+        let shows_at = |place: Place| [0, 1].into_iter().all(|side| taken.shows_at(place, side, wire_px(side)));
+        taken.places().any(shows_at)
             || taken.hidden(claims).any(|piece| piece.iter().any(|p| p.sight != Sight::OneSide))
             || taken.is_met_by_mask(pictures, claims)
     }
@@ -150,41 +148,44 @@ impl Taken<'_> {
         let mut pieces = model.stations.iter().zip(&verdict.pieces);
         pieces.all(|(s, piece)| s.at_joint || piece.iter().all(|p| p.sight == Sight::Clear))
             && select::is_certain(fit, verdict, model.ends.len())
-            && ![0, 1]
-                .into_iter()
-                .any(|side: usize| self.is_met(side, skeleton(&pictures[side]), &[Near::Fingers, Near::Wire]))
+            && !self.places().any(|place| {
+                [0, 1].into_iter().any(|side: usize| self.shows_at(place, side, skeleton(&pictures[side])))
+            })
             && !self.is_met_by_mask(pictures, claims)
     }
 
-    /// Whether some of this wire is not the part's own and comes near one of these.
-    fn is_met(&self, side: usize, wire_px: impl Iterator<Item = Vector2<f64>>, near: &[Near]) -> bool {
-        let Self { params, rig, prepared, explanation, found } = self;
-        let at_mm = found.grasp.position_left_mm(params);
-        let grasp_px = if side == 0 { rig.project_left(&at_mm) } else { rig.project_right(&at_mm) };
-        let all = &explanation.verdict.pieces;
+    /// Where other wire is in the way.
+    fn places(&self) -> impl Iterator<Item = Place> + '_ {
+        let pieces = 0..self.explanation.verdict.pieces.len();
+        std::iter::once(Place::Fingers).chain(pieces.map(Place::Beside))
+    }
+
+    /// Whether some of this wire is not the part's own and comes near such a place.
+    fn shows_at(&self, place: Place, side: usize, wire_px: impl Iterator<Item = Vector2<f64>>) -> bool {
+        let pieces = &self.explanation.verdict.pieces;
+        let project = [Rig::project_left, Rig::project_right][side];
+        let grasp_px = project(self.rig, &self.found.grasp.position_left_mm(self.params));
         // What is not seen may be anywhere.
-        let (Some(grasp_px), Some(first)) = (grasp_px, all.first()) else { return true };
-        let (half_px, radius_mm) = (first[side].half_width_px, prepared.pose_model().radius_mm);
-        let px_per_mm = half_px / radius_mm;
-        let fingers_px = (grasp::fingers_reach_mm(&params.gripper, &found.grasp) + radius_mm) * px_per_mm;
-        // No piece is farther from the grasp than the wire is long.
-        let far_px = fingers_px + prepared.pose_model().length_mm * px_per_mm;
-        let near = wire_px.filter(|px| {
-            let is_within = |of: &Vector2<f64>, reach_px: f64| (px - of).norm_squared() < reach_px * reach_px;
-            if !is_within(&grasp_px, far_px) {
-                return false;
+        let (Some(grasp_px), Some(first)) = (grasp_px, pieces.first()) else { return true };
+        let half_px = first[side].half_width_px;
+        let (at_px, reach_px) = match place {
+            Place::Fingers => {
+                let radius_mm = self.prepared.pose_model().radius_mm;
+                let fingers_mm = grasp::fingers_reach_mm(&self.params.gripper, &self.found.grasp) + radius_mm;
+                (grasp_px, fingers_mm * half_px / radius_mm)
             }
-            let beside =
-                |reach_px: f64| all.iter().any(|piece| is_within(&piece[side].expected_px, reach_px));
-            let meets = near.iter().any(|near| match near {
-                Near::Fingers => is_within(&grasp_px, fingers_px),
-                Near::Wire => beside(NEAR_HALF_WIDTHS * half_px + CLAIMED_BESIDE_PX),
-            });
-            meets && !beside(OWN_HALF_WIDTHS * half_px)
-        });
+            Place::Beside(piece) => {
+                (pieces[piece][side].expected_px, NEAR_HALF_WIDTHS * half_px + CLAIMED_BESIDE_PX)
+            }
+        };
+        let is_within =
+            |px: &Vector2<f64>, of: &Vector2<f64>, px_max: f64| (px - of).norm_squared() < px_max * px_max;
+        let is_own = |px: &Vector2<f64>| {
+            pieces.iter().any(|p| is_within(px, &p[side].expected_px, OWN_HALF_WIDTHS * half_px))
+        };
         // A few pixels beside a claim are none; a wire that comes near is seen over more than that.
         let many = half_px as usize + 1;
-        near.take(many).count() == many
+        wire_px.filter(|px| is_within(px, &at_px, reach_px) && !is_own(px)).take(many).count() == many
     }
 }
 
