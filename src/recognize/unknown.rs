@@ -79,7 +79,8 @@ impl Unknown {
     ) -> bool {
         let wire_px = |side: usize| self.left_and_right_px[side].iter().copied();
         // What is at a place shows there in both.
-        let shows_at = |place: Place| [0, 1].into_iter().all(|side| taken.shows_at(place, side, wire_px(side)));
+        let shows_at =
+            |place: Place| [0, 1].into_iter().all(|side| taken.shows_at(place, side, wire_px(side)));
         taken.places().any(shows_at)
             || taken.hidden(claims).any(|piece| piece.iter().any(|p| p.sight != Sight::OneSide))
             || taken.is_met_by_mask(pictures, claims)
