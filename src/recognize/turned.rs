@@ -119,7 +119,7 @@ struct Told {
     is_certain: bool,
     /// Whether what is not allowed for yet is worth another go.
     is_worth_it: bool,
-    /// Whether what is not allowed for yet is certain by itself.
+    /// Whether what is not allowed for yet is certain by itself, or what is allowed for is not.
     in_doubt: bool,
     /// Whether it is more than [`FAR_RAD`] for certain.
     is_far: bool,
@@ -176,12 +176,13 @@ fn turned(
         let px = before_px + more_px;
         let is_certain = px.abs() > CERTAIN_SIGMAS * sigma_px;
         let missing_px = if is_certain { more_px } else { -before_px };
+        let is_worth_it = missing_px.abs() > WORTH_IT * MODEL_SIGMA_PX[k] * model_px;
         Told {
             px,
             sigma_px,
             is_certain,
-            is_worth_it: missing_px.abs() > WORTH_IT * MODEL_SIGMA_PX[k] * model_px,
-            in_doubt: more_px.abs() > CERTAIN_SIGMAS * sigma_px,
+            is_worth_it,
+            in_doubt: more_px.abs() > CERTAIN_SIGMAS * sigma_px || is_worth_it && !is_certain,
             is_far: is_certain && px.abs() > FAR_RAD[k] * px_per_radian[k],
         }
     });
@@ -256,10 +257,13 @@ mod tests {
         assert!((told.rows_px - 0.5).abs() < 0.01 && told.doubt.is_none() && more.is_none());
         let (told, more) = turned(&rig(), &seen(&half_a_pixel, 0.3), &none, 1.0).unwrap();
         assert!(more.is_none() && told.rows_sigma_px > 0.29, "{told:?}");
-        // Nor is what ends told before.
+        // Nor is what ends told before; where there is no time to do without it, it stays in doubt.
         let doubtful = Vector3::new(0.0, 0.0, 0.1 / 320.0);
         let (told, more) = turned(&rig(), &seen(&Vector3::zeros(), 0.1), &doubtful, 1.0).unwrap();
-        assert!(told.doubt.is_none() && (more.unwrap() + doubtful).norm() < 1e-9, "{told:?} {more:?}");
+        assert!(
+            told.doubt == Some(Doubt::Rest) && (more.unwrap() + doubtful).norm() < 1e-9,
+            "{told:?} {more:?}"
+        );
         // Parts as if seen from farther along the baseline are longer ones, and said to look so.
         let longer = Vector3::new(0.0, -0.5 / 700.0, 0.0);
         let (told, more) = turned(&rig(), &seen(&longer, 0.05), &none, 1.0).unwrap();

@@ -5,6 +5,7 @@
 //! of wire as thick in about the same direction, at a depth where a part would look so. Those that are not the same are
 //! scattered; the turn that is has one vote of nearly every end that both cameras see.
 
+use std::cmp::Reverse;
 use std::ops::RangeInclusive;
 
 use nalgebra::{Matrix2, Vector2, Vector3};
@@ -22,10 +23,12 @@ const ALIKE_MAX: usize = 4096;
 const ROWS_PX_MAX: f64 = 32.0;
 const RIM_PX_MAX: i32 = 8;
 const ROWS_STEP_PX: f64 = 0.5;
-const ROWS_BITS: f64 = 128.0;
+const ROWS: usize = 128;
 /// An end is on its line where it is no farther from it than so many steps, and half a one more.
 const ON_LINE_STEPS: i32 = 2;
 const ON_LINE_PX: f64 = 1.25;
+/// Turns so many steps apart are different ones: no end is on its line with both.
+const APART_STEPS: usize = 6;
 /// The cosine between the directions of wire of ends alike is more than this.
 const DIRECTION_COS_MIN: f64 = 0.8;
 /// By what factor wire may look thicker or thinner than a part's would at the depth of the pair.
@@ -35,6 +38,8 @@ const APART_SHARE: u32 = 4;
 /// So many more votes than the camera has as calibrated, and so many times as many, tell a turn.
 const MORE_MIN: u32 = 3;
 const TIMES_MIN: f64 = 1.5;
+/// The same of what the most have of turns that are quite another: the most of a hundred are more than those of one.
+const RIVAL_TIMES_MIN: f64 = 1.25;
 
 /// An end of wire, looked at straight away from the baseline.
 #[derive(Clone, Copy)]
@@ -72,6 +77,11 @@ pub(super) struct Votes {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Exchanged;
 
+/// Whether so many votes are more than those by more than chance, and so many times as many.
+fn are_more(votes: u32, than: u32, times: f64) -> bool {
+    votes >= than + MORE_MIN && f64::from(votes) >= times * f64::from(than)
+}
+
 impl Votes {
     /// For parts between these thicknesses at these depths; reserves all memory.
     pub(super) fn new(thickness_mm: [f64; 2], depth_mm: [f64; 2]) -> Self {
@@ -102,20 +112,19 @@ impl Votes {
         }
         let for_none = self.votes_for_none();
         self.votes = Some(for_none);
-        let are_far_more =
-            |votes: u32| votes >= for_none + MORE_MIN && f64::from(votes) >= TIMES_MIN * f64::from(for_none);
+        let are_far_more = |votes: u32| are_more(votes, for_none, TIMES_MIN);
         // Of no more ends can the like be in the other picture; several that share one tell no turn.
         if !are_far_more(self.ends[0].len().min(self.ends[1].len()) as u32) {
             return Ok(None);
         }
-        let (votes, turn) = self.most_votes(&axes);
+        let (votes, turn, rival) = self.most_votes(&axes);
         if self.find_alike(rig, &axes, [right, left], true) {
             let for_exchanged = self.votes_for_none();
             if are_far_more(for_exchanged) && for_exchanged >= votes {
                 return Err(Exchanged);
             }
         }
-        if !are_far_more(votes) {
+        if !are_far_more(votes) || !are_more(votes, rival, RIVAL_TIMES_MIN) {
             return Ok(None);
         }
         self.votes = Some(votes);
@@ -195,34 +204,41 @@ impl Votes {
         true
     }
 
-    /// Most votes, and for which turn.
-    fn most_votes(&self, axes: &Axes) -> (u32, Vector3<f64>) {
-        let mut most = (0, 0.0, 0.0);
-        for rim_px in -RIM_PX_MAX..=RIM_PX_MAX {
-            let rim_px = f64::from(rim_px);
-            let mut votes = [0; ROWS_BITS as usize];
-            for group in self.of_left_ends() {
-                let mut voted = 0u128;
-                for alike in group {
-                    let bit = ((alike.offset_px - rim_px * alike.along + ROWS_PX_MAX) / ROWS_STEP_PX).round();
-                    for bit in (-ON_LINE_STEPS..=ON_LINE_STEPS).map(|step| bit + f64::from(step)) {
-                        voted |= if (0.0..ROWS_BITS).contains(&bit) { 1 << bit as u32 } else { 0 };
-                    }
-                }
-                for (bit, votes) in votes.iter_mut().enumerate() {
-                    *votes += (voted >> bit & 1) as u32;
+    /// Most votes, for which turn, and most of those for other ones: what is no end of a part, as the grain of a dark wall, votes
+    /// for many turns alike.
+    fn most_votes(&self, axes: &Axes) -> (u32, Vector3<f64>, u32) {
+        let most = |rim_px: i32| {
+            let votes = self.votes_for_rows(f64::from(rim_px)).into_iter().enumerate();
+            votes.max_by_key(|&(row, votes)| (votes, Reverse(row))).map(|(row, votes)| (votes, row, rim_px))
+        };
+        let rims_px = -RIM_PX_MAX..=RIM_PX_MAX;
+        let best = rims_px.filter_map(most).max_by_key(|&(votes, _, rim_px)| (votes, Reverse(rim_px.abs())));
+        let (votes, row, rim_px) = best.unwrap_or_default();
+        let rim_px = f64::from(rim_px);
+        let others = self.votes_for_rows(rim_px).into_iter().enumerate();
+        let rival =
+            others.filter(|(other, _)| other.abs_diff(row) > APART_STEPS).map(|(_, votes)| votes).max();
+        let px = self.mean_turn(row as f64 * ROWS_STEP_PX - ROWS_PX_MAX, rim_px);
+        let turn = Vector3::new(px.x / axes.px_per_radian[0], 0.0, -px.y / axes.px_per_radian[1]);
+        (votes, axes.left_from_axes * turn, rival.unwrap_or(0))
+    }
+
+    /// The votes for all turns across the baseline, with this one about the line of sight.
+    fn votes_for_rows(&self, rim_px: f64) -> [u32; ROWS] {
+        let mut votes = [0; ROWS];
+        for group in self.of_left_ends() {
+            let mut voted = 0u128;
+            for alike in group {
+                let row = ((alike.offset_px - rim_px * alike.along + ROWS_PX_MAX) / ROWS_STEP_PX).round();
+                for row in (-ON_LINE_STEPS..=ON_LINE_STEPS).map(|step| row + f64::from(step)) {
+                    voted |= if (0.0..ROWS as f64).contains(&row) { 1 << row as u32 } else { 0 };
                 }
             }
-            for (bit, &votes) in votes.iter().enumerate() {
-                if votes > most.0 {
-                    most = (votes, bit as f64 * ROWS_STEP_PX - ROWS_PX_MAX, rim_px);
-                }
+            for (row, votes) in votes.iter_mut().enumerate() {
+                *votes += (voted >> row & 1) as u32;
             }
         }
-        let (votes, rows_px, rim_px) = most;
-        let px = self.mean_turn(rows_px, rim_px);
-        let turn = Vector3::new(px.x / axes.px_per_radian[0], 0.0, -px.y / axes.px_per_radian[1]);
-        (votes, axes.left_from_axes * turn)
+        votes
     }
 
     /// The turn, in pixels across the baseline and at the rim, that the ends tell together which voted for this one.
@@ -241,5 +257,53 @@ impl Votes {
         }
         let more = normal.try_inverse().map_or(Vector2::zeros(), |inverse| inverse * right_side);
         Vector2::new(rows_px, rim_px) + more
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+
+    use super::*;
+    use crate::rig::CameraModel;
+
+    /// The votes of left ends that have ends like them so many pixels off their lines, each somewhere along the baseline.
+    fn most_votes(offsets_px: impl Iterator<Item = Vec<f64>>) -> (u32, f64, u32) {
+        let mut rng = rand_pcg::Pcg64Mcg::seed_from_u64(1);
+        let mut votes = Votes::new([3.0; 2], [400.0, 600.0]);
+        for (left, offsets_px) in offsets_px.enumerate() {
+            let along = rng.random_range(-1.0..1.0);
+            votes.alike.extend(offsets_px.into_iter().map(|offset_px| Alike { left, offset_px, along }));
+        }
+        let camera = CameraModel {
+            width: 640,
+            height: 480,
+            fx: 700.0,
+            fy: 700.0,
+            cx: 320.0,
+            cy: 240.0,
+            distortion: Default::default(),
+        };
+        let right_from_left = nalgebra::Isometry3::translation(-60.0, 0.0, 0.0);
+        let axes = Axes::of(&Rig { left: camera, right: camera, right_from_left }).unwrap();
+        let (most, turn, rival) = votes.most_votes(&axes);
+        (most, (axes.left_from_axes.tr_mul(&turn).x * 700.0), rival)
+    }
+
+    #[test]
+    fn ends_of_parts_agree_on_a_turn_and_those_of_grain_on_none() {
+        let mut rng = rand_pcg::Pcg64Mcg::seed_from_u64(2);
+        let mut any = |range: std::ops::Range<f64>| rng.random_range(range);
+        // Each end has its like, and another by chance.
+        let parts: Vec<_> = (0..20).map(|_| vec![6.0 + any(-0.4..0.4), any(-30.0..30.0)]).collect();
+        let (most, rows_px, rival) = most_votes(parts.into_iter());
+        assert!(
+            (rows_px - 6.0).abs() < 0.2 && are_more(most, rival, RIVAL_TIMES_MIN),
+            "{most} {rows_px} {rival}"
+        );
+        // Grain of a wall that lies aslant: many like it somewhere along that.
+        let grain: Vec<_> = (0..90).map(|_| (0..4).map(|_| any(-16.0..-4.0)).collect()).collect();
+        let (most, rows_px, rival) = most_votes(grain.into_iter());
+        assert!(!are_more(most, rival, RIVAL_TIMES_MIN), "{most} {rows_px} {rival}");
     }
 }
