@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 use super::explanations::Explanation;
 use super::found::found;
 use super::interrupted::is_interrupted;
-use super::lamp::lamp_radii;
+use super::lamp::{lamp_radii, seen_lower_radii};
 use super::result::{FoundPart, NoPick, PARTS_MAX, Recognition};
 use super::unknown::Taken;
 use super::views::views;
@@ -31,9 +31,17 @@ impl Recognizer {
         let prepared = |e: &Explanation| &parts[e.hypothesis.part];
         let lights = explanations.standing().map(|e| &e.light);
         let lamp_radii = lamp_radii(lights);
-        let beside = explanations
-            .standing()
-            .map(|e| e.light.displaced(&lamp_radii) * -prepared(e).pose_model().radius_mm);
+        let camera_px = f64::from(1 << pictures[0].halvings());
+        let lower_radii = |e: &Explanation| match e.verdict.pieces.first() {
+            Some([left, right]) if lighting.dark => {
+                seen_lower_radii(camera_px * f64::midpoint(left.half_width_px, right.half_width_px))
+            }
+            _ => 0.0,
+        };
+        let beside = explanations.standing().map(|e| {
+            let seen_radii = e.light.displaced(&lamp_radii) + Vector3::z() * lower_radii(e);
+            seen_radii * -prepared(e).pose_model().radius_mm
+        });
         let beside_mm: ArrayVec<Vector3<f64>, PARTS_MAX> = beside.collect();
         explanations.displace(beside_mm.iter());
         let standing = explanations.standing();
