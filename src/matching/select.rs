@@ -94,8 +94,11 @@ impl Default for Params {
 
 /// The misfit that sound explanations have.
 const MISFIT_USUAL: f64 = 0.6;
-/// From this misfit on the pictures contradict the pose.
+/// From this misfit on the pictures contradict the pose; and from the second on, where less than this share of both outlines is seen
+/// in a picture: it goes from one wire to another that lies nearly along it.
 const MISFIT_MAX: f64 = 1.5;
+const MISFIT_UNCLEAR_MAX: f64 = 1.2;
+const UNCLEAR: f64 = 0.6;
 
 /// From so many pixels on an end that is seen beside its place leaves doubt.
 const END_FARTHEST_PX_MAX: f64 = 2.0;
@@ -158,7 +161,13 @@ fn fits(fit: &Fit, verdict: &Verdict) -> bool {
     verdict.end_offset_px < 1.0
         && verdict.end_farthest_px < END_FARTHEST_PX_MAX
         && verdict.missing.iter().all(|m| *m < 0.02)
-        && fit.misfit < MISFIT_MAX
+        && !is_contradicted(fit, verdict)
+}
+
+/// Whether the pictures contradict the pose.
+fn is_contradicted(fit: &Fit, verdict: &Verdict) -> bool {
+    let is_unclear = verdict.clear.iter().any(|clear| *clear < UNCLEAR);
+    fit.misfit >= if is_unclear { MISFIT_UNCLEAR_MAX } else { MISFIT_MAX }
 }
 
 /// How far wire goes on beyond an explanation that nobody has claimed, in mm.
@@ -206,7 +215,7 @@ pub fn is_proven(model: &PoseModel, fit: &Fit, verdict: &Verdict, overrun_mm: f6
     is_held
         && verdict.end_offset_px < END_OFFSET_PX_MAX
         && missing(verdict) <= MISSING_MAX
-        && fit.misfit < MISFIT_MAX
+        && !is_contradicted(fit, verdict)
         && !verdict.is_narrow
 }
 
@@ -416,7 +425,7 @@ mod tests {
             is_proven(&model(name), &Fit { misfit, ..Fit::default() }, verdict, overrun_mm)
         };
         let proven = |name: &str, misfit: f64, ends_shown: u32| {
-            held(name, &Verdict { ends_shown, ..Verdict::default() }, misfit, 0.0)
+            held(name, &Verdict { ends_shown, clear: [0.9; 2], ..Verdict::default() }, misfit, 0.0)
         };
         let narrow = Verdict { ends_shown: 2, is_narrow: true, ..Verdict::default() };
         assert!(!held("hook.toml", &narrow, 0.5, 0.0) && !held("rod-90.toml", &narrow, 0.5, 0.0));
@@ -426,6 +435,9 @@ mod tests {
         assert!(proven("hook.toml", 1.2, 0) && !proven("hook.toml", 1.6, 2));
         assert!(proven("rod-90.toml", 1.2, 2) && !proven("rod-90.toml", 1.2, 1));
         assert!(!proven("rod-90.toml", 1.6, 2));
+        // What fits no better and is half hidden in a picture goes from one wire there to another.
+        let half_hidden = Verdict { ends_shown: 2, clear: [0.5, 0.9], ..Verdict::default() };
+        assert!(held("rod-90.toml", &half_hidden, 1.1, 0.0) && !held("rod-90.toml", &half_hidden, 1.3, 0.0));
         // An end that only one picture shows may be the edge of a wire that lies across: beyond it the rod goes on.
         assert!(held("rod-90.toml", &shown(2), 0.5, 2.0) && !held("rod-90.toml", &shown(2), 0.5, 7.5));
     }
