@@ -61,7 +61,7 @@ struct Traced {
     mask: BitImage,
     skeleton: BitImage,
     graph: Graph,
-    /// Half thickness of each edge and its number of pixels, thinnest first.
+    /// Half thickness of each edge and its weight, thinnest first.
     widths: Vec<(f32, usize)>,
     half_width_px: f64,
 }
@@ -113,15 +113,16 @@ impl Traced {
     }
 }
 
-/// Half the width of a picture's wire in pixels: what a quarter of it does not exceed, for regions of several wires are wider.
+/// Half the width of a picture's wire in pixels: what a quarter of it does not exceed, for regions of several wires are wider. Edges
+/// count by the squares of their lengths: short ones are the grain of a dark wall.
 fn half_width_px(graph: &Graph, widths: &mut Vec<(f32, usize)>) -> f64 {
     widths.clear();
-    widths.extend(graph.edges.iter().map(|e| (e.half_thickness_px, e.points.len())));
+    widths.extend(graph.edges.iter().map(|e| (e.half_thickness_px, e.points.len().pow(2))));
     widths.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
-    let all: usize = widths.iter().map(|(_, length)| length).sum();
+    let all: usize = widths.iter().map(|(_, weight)| weight).sum();
     let mut below = 0;
-    let quarter = widths.iter().find(|(_, length)| {
-        below += length;
+    let quarter = widths.iter().find(|(_, weight)| {
+        below += weight;
         4 * below >= all
     });
     f64::from(quarter.map_or(HALF_WIDTH_PX_MAX, |(half, _)| half.min(HALF_WIDTH_PX_MAX)))
@@ -188,6 +189,10 @@ impl Picture {
         let in_time = self.binarize(frame, side, end);
         stages.binarize_ns += Timestamp::now().ns_since(decoded);
         let mut in_time = in_time? && self.trace(self.halvings, frame, side, end, stages)?;
+        // Grain makes the mean of the mask less.
+        while in_time && self.is_thick(2.0 * self.half_width_px()) && self.halve(frame) {
+            in_time = self.trace(self.halvings, frame, side, end, stages)?;
+        }
         while in_time && self.halvings > 0 && 2.0 * self.half_width_px() < HALVED_PX_MIN {
             in_time = self.trace(self.halvings - 1, frame, side, end, stages)?;
         }
@@ -196,7 +201,7 @@ impl Picture {
 
     /// From the decoded `frame` to its mask, halved as often as its wire wants; says whether there was time.
     fn binarize(&mut self, frame: &Frame, side: Side, end: Option<Timestamp>) -> Result<bool, Refusal> {
-        let Self { decoder, luma, binarize, sizes, halvings, evenness, .. } = self;
+        let Self { decoder, luma, binarize, sizes, .. } = self;
         let is_late = || end.is_some_and(Timestamp::is_past);
         let raw = raw_of(decoder, frame);
         let refused = |reason| Refusal::Binarize { side, reason };
@@ -216,15 +221,25 @@ impl Picture {
         if let Some(refusal) = blind(luma, &sizes[0].mask, is_bright_on_dark, side) {
             return Err(refusal);
         }
-        *halvings = 0;
-        while let [whole, half, ..] = &mut sizes[*halvings..]
-            && is_thick(&whole.mask, *evenness)
-        {
-            halve_mask(&whole.mask, &mut half.mask);
-            halve_luma(if *halvings == 0 { luma } else { &whole.plane }, &mut half.plane);
-            *halvings += 1;
-        }
+        self.halvings = 0;
+        while self.is_thick(thickness_px(self.mask())) && self.halve(frame) {}
         Ok(!is_late())
+    }
+
+    /// Whether wire so thick is better looked at in half the size: where it is thick, skeletons stray far where wires meet.
+    fn is_thick(&self, thickness_px: f64) -> bool {
+        thickness_px >= THICK_PX_MIN && thickness_px * self.evenness >= THIN_PX_MIN
+    }
+
+    /// Halves mask and luma of the decoded `frame` once more, which then are the picture; says whether they can be.
+    fn halve(&mut self, frame: &Frame) -> bool {
+        let Self { decoder, luma, sizes, halvings, .. } = self;
+        let [whole, half, ..] = &mut sizes[*halvings..] else { return false };
+        halve_mask(&whole.mask, &mut half.mask);
+        let luma = if *halvings == 0 { luma_of(decoder, luma, frame) } else { &whole.plane };
+        halve_luma(luma, &mut half.plane);
+        *halvings += 1;
+        true
     }
 
     /// Thins the picture halved so many times, and reads its graph; says whether there was time.
@@ -370,10 +385,4 @@ pub(crate) fn halvings(camera: CameraModel) -> impl Iterator<Item = CameraModel>
     std::iter::successors(Some(camera), |camera| {
         (camera.width.min(camera.height) / 2 >= SIDE_PX_MIN).then(|| camera.halved())
     })
-}
-
-/// Whether wire is better looked at in half the size: where it is thick, skeletons stray far where wires meet.
-fn is_thick(mask: &BitImage, evenness: f64) -> bool {
-    let thickness_px = thickness_px(mask);
-    thickness_px >= THICK_PX_MIN && thickness_px * evenness >= THIN_PX_MIN
 }
