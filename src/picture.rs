@@ -188,15 +188,21 @@ impl Picture {
         }
         let in_time = self.binarize(frame, side, end);
         stages.binarize_ns += Timestamp::now().ns_since(decoded);
-        let mut in_time = in_time? && self.trace(self.halvings, frame, side, end, stages)?;
-        // Grain makes the mean of the mask less.
-        while in_time && self.is_thick(2.0 * self.half_width_px()) && self.halve(frame) {
-            in_time = self.trace(self.halvings, frame, side, end, stages)?;
+        if !in_time? {
+            return Ok(false);
         }
-        while in_time && self.halvings > 0 && 2.0 * self.half_width_px() < HALVED_PX_MIN {
-            in_time = self.trace(self.halvings - 1, frame, side, end, stages)?;
+        let mut traced = self.trace(self.halvings, frame, side, end, stages);
+        let refused = traced.err();
+        // Grain makes the mean of the mask less, and may be more than a graph has room for.
+        while traced.map_or(true, |in_time| in_time && self.is_thick(2.0 * self.half_width_px()))
+            && self.halve(frame)
+        {
+            traced = self.trace(self.halvings, frame, side, end, stages);
         }
-        Ok(in_time)
+        while traced == Ok(true) && self.halvings > 0 && 2.0 * self.half_width_px() < HALVED_PX_MIN {
+            traced = self.trace(self.halvings - 1, frame, side, end, stages);
+        }
+        traced.map_err(|last| refused.unwrap_or(last))
     }
 
     /// From the decoded `frame` to its mask, halved as often as its wire wants; says whether there was time.
@@ -257,24 +263,30 @@ impl Picture {
         sizes[halvings].run(luma, end, stages).map_err(|reason| Refusal::Graph { side, reason })
     }
 
-    /// Has both pictures of a pair, which have just been run, in one size, the larger of theirs; says whether there was time.
+    /// Has both pictures of a pair, which have just been run, in one size, the larger of theirs if a graph has room for it; says
+    /// whether there was time.
     ///
     /// # Errors
-    /// Where there is too much for a graph in that size.
+    /// Where there is too much for a graph in the smaller size as well.
     pub(crate) fn agree(
         pictures: &mut [Picture; 2],
         frames: [&Frame; 2],
         end: Option<Timestamp>,
         stages: &mut StageTimes,
     ) -> Result<bool, Refusal> {
-        let halvings = pictures[0].halvings.min(pictures[1].halvings);
-        let mut in_time = true;
-        for ((picture, frame), side) in pictures.iter_mut().zip(frames).zip([Side::Left, Side::Right]) {
-            if picture.halvings > halvings {
+        let [left, right] = pictures.each_ref().map(Self::halvings);
+        let mut all_halved = |halvings: usize| {
+            let mut in_time = true;
+            for ((picture, frame), side) in pictures.iter_mut().zip(frames).zip([Side::Left, Side::Right]) {
+                if picture.halvings == halvings {
+                    continue;
+                }
+                while picture.halvings < halvings && picture.halve(frame) {}
                 in_time &= picture.trace(halvings, frame, side, end, stages)?;
             }
-        }
-        Ok(in_time)
+            Ok(in_time)
+        };
+        all_halved(left.min(right)).or_else(|_| all_halved(left.max(right)))
     }
 
     /// The colours of parts and floor at these places, in pixels of the size that was looked at; `None` where grey values stand for

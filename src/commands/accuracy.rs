@@ -79,13 +79,15 @@ pub fn run(args: &Accuracy) -> Result<u8, Box<dyn std::error::Error>> {
         made.map_err(|e| format!("--out {}: cannot be written: {e}; {}", out.display(), write_remedy(&e)))?;
     }
     say(Score::HEADING)?;
+    let mut refused = 0;
     for (set, parts) in &with_parts {
-        let score = run_set(args, set, parts)?;
+        let (score, of_set) = run_set(args, set, parts)?;
         say(&score.row(&set.name))?;
         total.merge(&score);
+        refused += of_set;
     }
     say(&total.row("**all**"))?;
-    Ok(0)
+    Ok(u8::from(refused > 0))
 }
 
 /// 1 where a result could not be written, 2 where what was given cannot be used.
@@ -102,7 +104,12 @@ fn say(line: &str) -> io::Result<()> {
     writeln!(io::stdout().lock(), "{line}")
 }
 
-fn run_set(args: &Accuracy, set: &SceneSet, parts: &[Part]) -> Result<Score, Box<dyn std::error::Error>> {
+/// The score of a set, and how many of its pairs were refused, of which nothing is found.
+fn run_set(
+    args: &Accuracy,
+    set: &SceneSet,
+    parts: &[Part],
+) -> Result<(Score, usize), Box<dyn std::error::Error>> {
     let rig = Rig::read(&set.calibration)?;
     let baseline = rig.right_eye().coords.normalize();
     // The pictures stay: it is the calibration that is of before.
@@ -113,7 +120,7 @@ fn run_set(args: &Accuracy, set: &SceneSet, parts: &[Part]) -> Result<Score, Box
         b.speck_px_min = 20;
     });
     let mut recognizer = Recognizer::new(params, rig, parts.to_vec())?;
-    let mut score = Score::default();
+    let (mut score, mut refused) = (Score::default(), 0);
     for scene in &set.scenes {
         let truth = truth::read_truth(&scene.truth)?;
         let files = PairFiles {
@@ -123,8 +130,12 @@ fn run_set(args: &Accuracy, set: &SceneSet, parts: &[Part]) -> Result<Score, Box
         };
         let (pair, _) = read_pair(&files, recognizer.rig())?;
         let mut found = Recognition::default();
-        recognizer.run(&pair, Budget::Iterations(args.iterations), args.seed, &mut found)?;
-        if let Some(out) = &args.out {
+        let run = recognizer.run(&pair, Budget::Iterations(args.iterations), args.seed, &mut found);
+        if let Err(refusal) = run {
+            eprintln!("{}/{}: {refusal}", set.name, scene.name);
+            found = Recognition::default();
+            refused += 1;
+        } else if let Some(out) = &args.out {
             let folder = out.join(&set.name).join(&scene.name);
             let result = PairResult::new(Some(&scene.name), &found, parts, "left", &[found.stages]);
             let path = folder.join("results.json");
@@ -140,7 +151,7 @@ fn run_set(args: &Accuracy, set: &SceneSet, parts: &[Part]) -> Result<Score, Box
             tell(set, scene, &truth, &found, parts, &verdicts)?;
         }
     }
-    Ok(score)
+    Ok((score, refused))
 }
 
 fn tell(

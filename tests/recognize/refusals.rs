@@ -107,6 +107,29 @@ fn accuracy_prints_no_table_without_its_parts() {
 }
 
 #[test]
+fn accuracy_counts_what_lies_in_a_refused_pair_as_missed() {
+    let root = tempfile::tempdir().unwrap();
+    let recorded = std::path::Path::new(ROOT).join("replay/conveyor");
+    let conveyor = root.path().join("conveyor");
+    for folder in ["left", "right", "truth"] {
+        fs::create_dir_all(conveyor.join(folder)).unwrap();
+    }
+    let copy = |from: &str, to: &str| fs::copy(recorded.join(from), conveyor.join(to)).unwrap();
+    for name in ["calibration.yaml", "set.json", "truth/0000.json", "truth/0001.json"] {
+        copy(name, name);
+    }
+    for name in ["left/0000.jpg", "right/0000.jpg", "right/0001.jpg"] {
+        copy(name, name);
+    }
+    copy("right/0001.jpg", "left/0001.jpg");
+    let out = pickcell(&["accuracy", root.path().to_str().unwrap(), "--parts", "replay/parts"]);
+    let [table, message] = [&out.stdout, &out.stderr].map(|bytes| String::from_utf8_lossy(bytes));
+    assert_eq!(out.status.code(), Some(1), "{message}");
+    assert!(message.contains("conveyor/0001: the left and the right picture are the same"), "{message}");
+    assert!(table.contains("| conveyor | 2 | 20 | 1.000 | "), "{table}");
+}
+
+#[test]
 fn one_picture_for_both_cameras_is_refused() {
     let message = refusal(&recognize(&["--left", LEFT, "--right", LEFT]), 2);
     assert!(message.contains("the left and the right picture are the same"), "{message}");
