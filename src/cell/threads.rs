@@ -9,10 +9,10 @@
 //! | cold | print, write, have pictures drawn and recorded by threads of the command | an eventfd | none |
 //!
 //! Between them lie wait-free rings ([`super::desk`]); who sends wakes whom it sends to. Nothing spins. A panic in any
-//! of them stops the cell: the arm is told to hold, then the panic goes on.
+//! of them stops the cell: the arm is told to hold, then the panic goes on; after one of the arm thread the link falls silent.
 
 use std::io;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering, fence};
 use std::sync::{Arc, OnceLock};
 use std::thread::{Builder, Scope};
 use std::time::Duration;
@@ -80,18 +80,45 @@ impl Controls {
     }
 }
 
+/// What signals reach, before there is a cell and with it.
+#[derive(Default)]
+pub struct Signalled {
+    cell: OnceLock<Arc<Controls>>,
+    hold: AtomicBool,
+}
+
+impl Signalled {
+    /// There is a cell now. A hold that was asked for before is one of it.
+    pub fn cell_stands(&self, controls: &Arc<Controls>) {
+        self.cell.get_or_init(|| Arc::clone(controls));
+        // Either this sees the hold, or the hold sees the cell.
+        fence(Ordering::SeqCst);
+        if self.hold.load(Ordering::Relaxed) {
+            controls.operator(Operator::Hold);
+        }
+    }
+
+    fn hold(&self) {
+        self.hold.store(true, Ordering::Relaxed);
+        fence(Ordering::SeqCst);
+        if let Some(controls) = self.cell.get() {
+            controls.operator(Operator::Hold);
+        }
+    }
+}
+
 /// Turns signals into wishes until the process ends: SIGINT, SIGTERM and SIGHUP stop, SIGUSR1 releases, SIGUSR2 holds.
 /// Before there is a cell nothing can have moved: whoever is asked to end then ends at once, well.
 ///
 /// # Errors
 /// The system does not let signals be caught.
-pub fn obey_signals(cell: Arc<OnceLock<Arc<Controls>>>) -> io::Result<()> {
+pub fn obey_signals(signalled: Arc<Signalled>) -> io::Result<()> {
     let mut signals = Signals::new(ending_signals().into_iter().chain([SIGUSR1, SIGUSR2]))?;
     Builder::new().name("signals".into()).spawn(move || {
         for signal in signals.forever() {
-            match (signal, cell.get()) {
+            match (signal, signalled.cell.get()) {
                 (SIGUSR1, controls) => controls.iter().for_each(|c| c.operator(Operator::Release)),
-                (SIGUSR2, controls) => controls.iter().for_each(|c| c.operator(Operator::Hold)),
+                (SIGUSR2, _) => signalled.hold(),
                 (_, Some(controls)) => controls.stop(),
                 (_, None) => std::process::exit(0),
             }
@@ -321,6 +348,7 @@ fn arm_loop(
 ) -> Ending {
     let mut stepped = Timestamp::now();
     let mut sleep = Sleep::until_now(Clocks::now);
+    let mut stopped = false;
     loop {
         desk.letters_waker.clear();
         let clocks = Clocks::now();
@@ -329,13 +357,15 @@ fn arm_loop(
         if let Some(for_ns) = sleep.look(clocks) {
             carrier.event(&Event::Suspended { for_ns }, now);
         }
-        if controls.hold.swap(false, Ordering::AcqRel) {
-            carrier.event(&Event::Operator(Operator::Hold), now);
-        }
+        // Of two wishes of which nobody knows the order the hold is the one that stays.
         if controls.release.swap(false, Ordering::AcqRel) {
             carrier.event(&Event::Operator(Operator::Release), now);
         }
-        if controls.stop.load(Ordering::Acquire) {
+        if controls.hold.swap(false, Ordering::AcqRel) {
+            carrier.event(&Event::Operator(Operator::Hold), now);
+        }
+        if !stopped && controls.is_stopped() {
+            stopped = true;
             carrier.event(&Event::Stop, now);
         }
         while let Some(letter) = carrier.next_letter() {
@@ -375,6 +405,27 @@ fn cold_loop(desk: &Desk, quit: &AtomicBool, cold: &mut impl FnMut()) {
         cold();
         if ending {
             return;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_hold_before_there_is_a_cell_is_one_of_it() {
+        for held in [false, true] {
+            let signalled = Signalled::default();
+            if held {
+                signalled.hold();
+            }
+            let (desk, _seats) = Desk::new(0, 16, 16).unwrap();
+            let controls = Arc::new(Controls::new(Arc::new(desk)));
+            signalled.cell_stands(&controls);
+            assert_eq!(controls.hold.swap(false, Ordering::AcqRel), held);
+            signalled.hold();
+            assert!(controls.hold.load(Ordering::Acquire));
         }
     }
 }

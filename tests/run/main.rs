@@ -428,6 +428,11 @@ fn bad_input_is_named_with_its_remedy_and_ends_with_2() {
     );
     broken(&Cell::new(&[]), &["--soak", "9", "--rate", "fast"], "from 0.1 to 1000");
     broken(&Cell::new(&[("pace = \"realtime\"", "pace = \"slow\"")]), &[], "pace");
+    // Last night's grasps at any other rate are for no real arm.
+    let real = ("link = \"replay\"", "link = \"shared-memory\"");
+    let fast = Cell::new(&[real, ("pace = \"realtime\"", "pace = \"fast\"")]);
+    broken(&fast, &[], "cameras.pace = \"fast\" plays recorded pairs in other than their time");
+    broken(&Cell::new(&[real]), &["--soak", "9"], "--soak plays recorded pairs");
     let cell = Cell::new(&[]);
     fs::create_dir(cell.path("out")).unwrap();
     fs::write(cell.path("out/place.state"), "garbage").unwrap();

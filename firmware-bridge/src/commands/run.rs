@@ -11,8 +11,8 @@ use rustix::fd::AsFd;
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 
-/// How long the arm has to confirm the last hold, ns.
-const FAREWELL_NS: i64 = 500_000_000;
+/// How long the arm has to confirm the last hold, ns: a Marlin that goes on needs three and a half seconds to be stopped for good.
+const FAREWELL_NS: i64 = 4_000_000_000;
 /// So much of the stack is touched before the first target, bytes; the bridge uses less.
 const PREFAULT_BYTES: usize = 256 << 10;
 

@@ -11,6 +11,11 @@ use crate::time::Timestamp;
 /// An arm that has not answered for so long since the start is said to be silent, ns: boards restart when their port is
 /// opened, and a bridge may be started after the cell.
 const SILENT_NS: i64 = 8_000_000_000;
+/// A link says itself that a pick takes too long, when the arm stands: it takes up to ten seconds to stop one. Only a link that
+/// does not is told to begin anew.
+pub(super) const STOPPING_NS: i64 = 11_000_000_000;
+/// A released arm may home first, for which links wait three minutes.
+const STARTING_NS: i64 = 190_000_000_000;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Link {
@@ -452,8 +457,7 @@ impl Core {
             return;
         }
         arm.release_wanted = false;
-        let patience_ns = i64::from(self.settings.arm.pick_timeout_ms) * 1_000_000;
-        arm.link = Link::Releasing(Timestamp(now.0.saturating_add(patience_ns)));
+        arm.link = Link::Releasing(Timestamp(now.0.saturating_add(STARTING_NS)));
         actions.push(Action::Arm(Command::Release));
         actions.say(Note::Released);
     }

@@ -3,6 +3,7 @@
 use firmware_bridge::message::{Command, Pick, Pose, Refusal, Seen};
 
 use super::action::{Action, Actions, Alarm, NoPick, Note, TargetSent};
+use super::arm::STOPPING_NS;
 use super::count::Cause;
 use super::event::{Candidate, Found, Nothing};
 use super::{Core, Phase, State};
@@ -190,7 +191,8 @@ impl Core {
         self.tried.said = false;
         self.counts.add(Cause::Ordered, 1);
         let timeout_ns = i64::from(self.settings.arm.pick_timeout_ms) * 1_000_000;
-        self.arm.order(&pick, candidate, failures, Timestamp(now.0.saturating_add(timeout_ns)));
+        let until = Timestamp(now.0.saturating_add(timeout_ns + STOPPING_NS));
+        self.arm.order(&pick, candidate, failures, until);
         actions.push(Action::Arm(Command::Pick(pick)));
     }
 

@@ -175,9 +175,9 @@ impl Place {
         }
     }
 
-    /// The operator has emptied a full tray.
+    /// The operator has emptied a full tray, of which he was told; after a restart he is told by the first release.
     pub(super) fn start_over(&mut self) {
-        if self.is_full() {
+        if self.is_full() && self.full_was_said {
             self.record.next_slot = 0;
             self.full_was_said = false;
             self.free();

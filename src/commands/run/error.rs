@@ -47,6 +47,14 @@ pub enum RunError {
     /// `--soak` with live cameras.
     #[error("--soak repeats a recorded session; take a cell with backend = \"replay\"")]
     SoakNeedsReplay,
+    /// Pairs in other than their time, and a real arm.
+    #[error(
+        "{what} plays recorded pairs in other than their time, and would send them to a real arm: take arm.link = \"replay\""
+    )]
+    RealArm {
+        /// What does that.
+        what: &'static str,
+    },
     /// The record of the place pattern.
     #[error("{}: not a place record ({reason}); empty the tray and remove the file", path.display())]
     PlaceRecord {

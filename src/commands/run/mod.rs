@@ -12,7 +12,7 @@ mod setup;
 mod standing;
 mod summary;
 
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
 pub use args::RunArgs;
 pub use error::RunError;
@@ -25,7 +25,7 @@ use crate::cell::desk::Seats;
 use crate::cell::fast::Fast;
 use crate::cell::notify;
 use crate::cell::realtime::{Granted, lock_memory, resident_bytes};
-use crate::cell::threads::{self, Controls, Live};
+use crate::cell::threads::{self, Controls, Live, Signalled};
 use crate::time::Timestamp;
 
 /// Runs the cell until its session or somebody ends it.
@@ -33,7 +33,7 @@ use crate::time::Timestamp;
 /// # Errors
 /// [`RunError`]; its exit code says whether the job or what was given to it is to blame.
 pub fn run(args: &RunArgs) -> Result<(), RunError> {
-    let signalled = Arc::new(OnceLock::new());
+    let signalled = Arc::new(Signalled::default());
     threads::obey_signals(Arc::clone(&signalled)).map_err(RunError::System)?;
     let Setup {
         cell,
@@ -54,7 +54,7 @@ pub fn run(args: &RunArgs) -> Result<(), RunError> {
         names,
     } = Setup::new(args)?;
     let controls = Arc::new(Controls::new(Arc::clone(&desk)));
-    signalled.get_or_init(|| Arc::clone(&controls));
+    signalled.cell_stands(&controls);
     let in_base = cell.rig.base_from_left.is_some();
     let Seats { grabs, recognise, cold, hub } = seats;
     let mut cold = Cold::new(args, &cell, (Arc::clone(&desk), cold), &rig, parts, names, period)?;

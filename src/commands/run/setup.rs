@@ -115,6 +115,10 @@ impl Setup {
         let fast = args.soak.is_none()
             && cell.cameras.backend == Backend::Replay
             && cell.cameras.pace == config::Pace::Fast;
+        let out_of_time = if fast { Some("cameras.pace = \"fast\"") } else { args.soak.map(|_| "--soak") };
+        if let Some(what) = out_of_time.filter(|_| !simulated && cell.cameras.backend == Backend::Replay) {
+            return Err(RunError::RealArm { what });
+        }
         let mut second = None;
         if cell.recognition.threads > 1 && !fast {
             let (owner, helper) = hands::hands().map_err(RunError::System)?;

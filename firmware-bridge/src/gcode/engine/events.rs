@@ -198,7 +198,6 @@ impl<W: Wire> Driver<W> {
         if position_lost {
             self.reports.push(Report::PositionUnknown);
         }
-        self.reports.push(Report::Held { by: HeldBy::Alarm });
     }
 
     pub(super) fn out_of_time(&mut self, now_ns: i64) {

@@ -73,6 +73,17 @@ fn slots_are_filled_row_by_row_until_the_tray_is_full_and_emptied() {
 }
 
 #[test]
+fn a_tray_that_was_full_before_the_restart_is_said_to_be_before_it_counts_as_emptied() {
+    let full = PlaceRecord { next_slot: 4, next_id: 105, unfinished_id: 0 };
+    let mut bench = released(full);
+    let alarms = bench.alarms();
+    assert!(alarms.ends_with(&[Alarm::PlaceFull]), "{alarms:?}");
+    assert_eq!(bench.recognise(found(&[PART])), Err(NoPick::PlaceFull));
+    bench.event(Event::Operator(Operator::Release));
+    assert_eq!((persisted(&mut bench).next_slot, bench.alarms()), (0, vec![]));
+}
+
+#[test]
 fn what_the_end_of_a_target_means_for_its_slot() {
     // (end, slot of the next target; None = the arm is asked first)
     for (report, slot) in [
