@@ -130,6 +130,16 @@ fn accuracy_counts_what_lies_in_a_refused_pair_as_missed() {
 }
 
 #[test]
+fn one_overlay_is_not_for_a_session() {
+    let folder = tempfile::tempdir().unwrap();
+    let overlay = folder.path().join("overlay.png");
+    let args = ["recognize", "--cell", "cell.toml", "--overlay", overlay.to_str().unwrap()];
+    let message = refusal(&pickcell(&args), 2);
+    assert!(message.contains("each pair of the session would take the place"), "{message}");
+    assert!(!overlay.exists());
+}
+
+#[test]
 fn one_picture_for_both_cameras_is_refused() {
     let message = refusal(&recognize(&["--left", LEFT, "--right", LEFT]), 2);
     assert!(message.contains("the left and the right picture are the same"), "{message}");

@@ -87,6 +87,8 @@ pub struct SerialLink {
     /// The next attempt to open the port, and the pause after it.
     reopen_ns: i64,
     reopen_pause_ns: i64,
+    /// What was last said to be in the way of that.
+    told: Option<String>,
 }
 
 impl SerialLink {
@@ -136,6 +138,7 @@ impl SerialLink {
             reopen_max_ns: i64::from(arm.reopen_max_ms) * MS,
             reopen_ns: 0,
             reopen_pause_ns: i64::from(arm.reopen_min_ms) * MS,
+            told: None,
         };
         if link.port.is_some() {
             link.dialect.on_link(true, super::clock_ns());
@@ -199,9 +202,16 @@ impl SerialLink {
             Ok(port) => {
                 self.port = Some(port);
                 self.reopen_pause_ns = self.reopen_min_ns;
+                self.told = None;
                 self.dialect.on_link(true, now_ns);
             }
-            Err(_) => {
+            Err(error) => {
+                // Why, whenever that changes; that it is gone is said.
+                let reason = error.to_string();
+                if self.told.as_ref() != Some(&reason) {
+                    tracing::warn!("{reason}");
+                    self.told = Some(reason);
+                }
                 self.reopen_ns = now_ns + self.reopen_pause_ns;
                 self.reopen_pause_ns = (2 * self.reopen_pause_ns).min(self.reopen_max_ns);
             }

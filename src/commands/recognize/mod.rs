@@ -38,6 +38,10 @@ pub fn run(args: &RecognizeArgs) -> Result<(), RecognizeError> {
         check_stages(folder, args)?;
     }
     let setup = Setup::new(args)?;
+    if let Some(path) = args.overlay.clone().filter(|_| setup.many) {
+        let problem = "each pair of the session would take the place of the one before; name one with --left and --right, or use --stages";
+        return Err(RecognizeError::Overlay { path, problem });
+    }
     let recognizer = Recognizer::new(setup.params.clone(), setup.rig, setup.parts.clone());
     let mut recognizer = recognizer.map_err(|error| match (&setup.region_of, &error) {
         // Colours of a cell were looked at when it was read.
