@@ -92,8 +92,8 @@ impl Exhaustive {
         self.complete
     }
 
-    /// Adds the matches of the judge's part within `limits` to `found`, which holds none of them yet. Candidates beyond
-    /// the number that there is memory for are not looked at; the search is then not complete.
+    /// Adds the matches of the judge's part within `limits` to `found`, which holds none of them yet. Where there
+    /// are more candidates than memory for them, none is looked at; the search is then not complete.
     pub fn run(&mut self, judge: &Judge, candidates: &Candidates, limits: Limits, found: &mut Found) {
         self.steps = 0;
         self.complete = true;

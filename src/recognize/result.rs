@@ -301,7 +301,7 @@ pub struct Recognition {
     pub spent: Spent,
     /// Whether the search was cut short: its budget was spent, or there was more than it has room for.
     pub out_of_time: bool,
-    /// What the parts tell of the calibration; `None` without parts.
+    /// What the parts, or ends of wire, tell of the calibration; `None` where nothing does.
     pub turned: Option<Turned>,
     /// How long each stage took.
     pub stages: StageTimes,

@@ -5,11 +5,12 @@
 //! of a bin alike. So the usual width is that at which most explanations agree, and
 //! where that leaves a choice, as with one part alone, the one that light makes as a rule.
 
-use nalgebra::Isometry3;
+use arrayvec::ArrayVec;
+use nalgebra::{Isometry3, Point3};
 
 use super::{Explanation, Explanations, Scene};
 use crate::matching::select;
-use crate::pose::model::FreeEnd;
+use crate::part::NODES_MAX;
 use crate::recognize::lamp::Light;
 use crate::recognize::prepared::Prepared;
 
@@ -162,20 +163,27 @@ impl Explanation {
     }
 }
 
-/// How far the free ends of a part lie from the nearest ones of another, in the mean.
+/// How far the free ends of a part, or its nodes where it has none, lie from the nearest ones of another, in the mean.
 fn ends_apart_mm([one, other]: [&Prepared; 2], [a, b]: [&Isometry3<f64>; 2]) -> f64 {
-    let ends = &one.pose_model().ends;
-    let nearest_mm = |end: &FreeEnd| {
-        let apart = other.pose_model().ends.iter().map(|o| (a * end.position_mm - b * o.position_mm).norm());
-        apart.fold(f64::MAX, f64::min)
+    let mine = ends_of(one);
+    let theirs = ends_of(other);
+    let nearest_mm = |mine: &Point3<f64>| {
+        theirs.iter().map(|theirs| (a * mine - b * theirs).norm()).fold(f64::MAX, f64::min)
     };
-    ends.iter().map(nearest_mm).sum::<f64>() / ends.len().max(1) as f64
+    mine.iter().map(nearest_mm).sum::<f64>() / mine.len().max(1) as f64
+}
+
+fn ends_of(prepared: &Prepared) -> ArrayVec<Point3<f64>, NODES_MAX> {
+    let ends = &prepared.pose_model().ends;
+    let nodes = prepared.part.nodes.iter().filter(|_| ends.is_empty());
+    ends.iter().map(|end| end.position_mm).chain(nodes.map(|node| node.position_mm)).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use nalgebra::Vector3;
 
+    use super::*;
     use crate::frame::FramePair;
     use crate::part::Part;
     use crate::pose::drawn::DrawnPair;
@@ -219,6 +227,29 @@ mod tests {
         let expected = lying.map(|thickness_mm| (thickness_mm, true));
         for files in [[3.0, 4.2, 1.8], [1.8, 4.2, 3.0], [4.2, 3.0, 1.8]] {
             assert_eq!(recognised(&lying, &files), expected, "{files:?}");
+        }
+    }
+
+    /// A rectangle with a bar across it: it has no end.
+    fn theta(thickness_mm: f64) -> Part {
+        let text = format!(
+            "name='{thickness_mm}'\nthickness_mm={thickness_mm}\n\
+             node=[{{name='a',position_mm=[-12,0,0]}},{{name='b',position_mm=[12,0,0]}}]\n\
+             edge=[{{from='a',to='b'}},{{from='a',to='b',via=[[-12,14,0],[12,14,0]]}},\
+             {{from='a',to='b',via=[[-12,-14,0],[12,-14,0]]}}]\n\
+             [grasp]\nposition_mm=[0,0,0]\napproach=[0,0,-1]\nclosing=[0,1,0]\nwidth_mm=8\n"
+        );
+        Part::parse(&text, "theta.toml").unwrap()
+    }
+
+    #[test]
+    fn kin_without_ends_lie_where_their_nodes_do() {
+        for part in [rod, theta] {
+            let parts = [2.0, 3.4].map(|thickness_mm| Prepared::new(part(thickness_mm)));
+            let place = |x: f64| nalgebra::Isometry3::translation(x, 0.0, 500.0);
+            let apart_mm = |x: f64| ends_apart_mm(parts.each_ref(), [&place(0.0), &place(x)]);
+            assert_eq!([apart_mm(0.0), apart_mm(5.0)], [0.0, 5.0]);
+            assert!(apart_mm(200.0) > 100.0);
         }
     }
 
