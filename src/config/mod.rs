@@ -163,6 +163,11 @@ impl Cell {
         source.wrong(Fault::Other { key: "recognition.region_px", problem })
     }
 
+    /// Whether recorded pairs are played as fast as they are taken, by a clock of their own.
+    pub fn plays_fast(&self) -> bool {
+        self.cameras.backend == Backend::Replay && self.cameras.pace == Pace::Fast
+    }
+
     /// Whether the pairing window is at most half of a session's frame period, which is known when the session is open.
     ///
     /// # Errors

@@ -94,11 +94,12 @@ impl Default for Params {
 
 /// The misfit that sound explanations have.
 const MISFIT_USUAL: f64 = 0.6;
-/// From this misfit on the pictures contradict the pose; and from the second on, where less than this share of both outlines is seen
-/// in a picture: it goes from one wire to another that lies nearly along it.
+/// From this misfit on the pictures contradict the pose.
 const MISFIT_MAX: f64 = 1.5;
+/// The same where less than this share of both outlines is seen in a picture: what fits no better goes from one wire to another
+/// that lies nearly along it.
 const MISFIT_UNCLEAR_MAX: f64 = 1.2;
-const UNCLEAR: f64 = 0.6;
+const CLEAR_MIN: f64 = 0.6;
 
 /// From so many pixels on an end that is seen beside its place leaves doubt.
 const END_FARTHEST_PX_MAX: f64 = 2.0;
@@ -166,7 +167,7 @@ fn fits(fit: &Fit, verdict: &Verdict) -> bool {
 
 /// Whether the pictures contradict the pose.
 fn is_contradicted(fit: &Fit, verdict: &Verdict) -> bool {
-    let is_unclear = verdict.clear.iter().any(|clear| *clear < UNCLEAR);
+    let is_unclear = verdict.clear.iter().any(|clear| *clear < CLEAR_MIN);
     fit.misfit >= if is_unclear { MISFIT_UNCLEAR_MAX } else { MISFIT_MAX }
 }
 

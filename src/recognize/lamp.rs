@@ -24,10 +24,12 @@ const ABOVE_PARTS: f64 = 0.3;
 /// other, and the middle lies 0.15 radii beside the axis.
 const LAMP_RADII_MAX: f64 = 0.25;
 
-/// Blur draws the outlines of dark wire towards the shadow beneath it, down on the floor: it is seen lower, by so many radii over the
-/// square of its half width in pixels of the camera. From rendered scenes of 18 rigs, of wire 4 to 14 pixels wide: 1.1 to 1.6 on the
-/// floor, half of that on other wire.
+/// Blur draws the outlines of dark wire towards the shadow beneath it, down on the floor: it is seen lower, by so many radii
+/// over the square of its half width in pixels of the camera. From rendered scenes of 18 rigs, of wire 4 to 14 pixels wide:
+/// 1.1 to 1.6 on the floor, half of that on other wire.
 const LOWER_BLURRED_PX2: f64 = 1.2;
+/// No wire is seen lower by more radii than this.
+const LOWER_RADII_MAX: f64 = 0.83;
 
 /// How light lies on the wire of one part.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -86,7 +88,7 @@ impl Light {
 
 /// How much lower than it lies dark wire of this half width is seen, in radii.
 pub(super) fn seen_lower_radii(half_width_px: f64) -> f64 {
-    LOWER_BLURRED_PX2 / half_width_px.max(LOWER_BLURRED_PX2).powi(2)
+    (LOWER_BLURRED_PX2 / half_width_px.powi(2)).min(LOWER_RADII_MAX)
 }
 
 /// How far the lamp displaces what is seen of wire, in radii along x and y of the left camera.

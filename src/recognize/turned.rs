@@ -222,15 +222,7 @@ mod tests {
     use crate::rig::CameraModel;
 
     fn rig() -> Rig {
-        let camera = CameraModel {
-            width: 640,
-            height: 480,
-            fx: 700.0,
-            fy: 700.0,
-            cx: 320.0,
-            cy: 240.0,
-            distortion: Default::default(),
-        };
+        let camera = CameraModel::pinhole(640, 480, 700.0, 320.0, 240.0);
         let right_from_left = nalgebra::Isometry3::translation(-60.0, 0.0, 0.0);
         Rig { left: camera, right: camera, right_from_left }
     }

@@ -275,15 +275,7 @@ mod tests {
             let along = rng.random_range(-1.0..1.0);
             votes.alike.extend(offsets_px.into_iter().map(|offset_px| Alike { left, offset_px, along }));
         }
-        let camera = CameraModel {
-            width: 640,
-            height: 480,
-            fx: 700.0,
-            fy: 700.0,
-            cx: 320.0,
-            cy: 240.0,
-            distortion: Default::default(),
-        };
+        let camera = CameraModel::pinhole(640, 480, 700.0, 320.0, 240.0);
         let right_from_left = nalgebra::Isometry3::translation(-60.0, 0.0, 0.0);
         let axes = Axes::of(&Rig { left: camera, right: camera, right_from_left }).unwrap();
         let (most, turn, rival) = votes.most_votes(&axes);

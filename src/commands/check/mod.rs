@@ -12,6 +12,7 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use firmware_bridge::config::LinkName;
 use serde::Serialize;
 
 use crate::config::{Backend, Cell};
@@ -166,6 +167,13 @@ fn check(args: &CheckArgs) -> Findings {
     match cell.cameras.backend {
         Backend::V4l2 => cameras::check(&cell, rig.as_ref(), &mut findings),
         Backend::Replay => {}
+    }
+    if cell.plays_fast() && cell.arm_side.arm.link != LinkName::Replay {
+        findings.error(
+            "arm",
+            "cameras.pace = \"fast\" would send recorded targets to a real arm; run refuses that",
+            "take arm.link = \"replay\", or cameras.pace = \"realtime\"",
+        );
     }
     if let Some(rig) = &rig {
         files::check_workspace(&cell, rig, &mut findings);

@@ -137,6 +137,17 @@ fn a_place_record_that_cannot_be_used_and_a_recording_that_cannot_be_made_are_fo
 }
 
 #[test]
+fn what_run_refuses_of_a_real_arm_is_no_ready_cell() {
+    let fast = ("pace = \"realtime\"", "pace = \"fast\"");
+    let (_folder, cell) = changed(fast.0, fast.1);
+    assert_eq!(findings(&cell).exit_code(), 0);
+    let text = fs::read_to_string(&cell).expect("the cell");
+    fs::write(&cell, text.replacen("link = \"replay\"", "link = \"shared-memory\"", 1)).expect("a file");
+    let findings = findings(&cell);
+    assert!(findings.exit_code() > 0 && findings.in_words().contains("recorded targets to a real arm"));
+}
+
+#[test]
 fn every_picture_of_a_session_is_looked_at() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let there = project().join("replay/conveyor");

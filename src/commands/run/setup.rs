@@ -19,7 +19,7 @@ use crate::cell::desk::{Desk, Seats};
 use crate::cell::fast::{Moment, Schedule};
 use crate::cell::realtime::{Wish, hot_cores};
 use crate::cell::threads::Wishes;
-use crate::config::{self, Backend, Cell, PlaceGrid, Realtime, Scheduling};
+use crate::config::{Backend, CameraSettings, Cell, PlaceGrid, Realtime, Scheduling};
 use crate::handover::Waker;
 use crate::hands;
 use crate::part::Part;
@@ -112,9 +112,7 @@ impl Setup {
         let simulated = cell.arm_side.arm.link == LinkName::Replay;
         let record = cell.place.as_ref().map(|place| place_record(place, simulated)).transpose()?;
         let record = record.unwrap_or_default();
-        let fast = args.soak.is_none()
-            && cell.cameras.backend == Backend::Replay
-            && cell.cameras.pace == config::Pace::Fast;
+        let fast = args.soak.is_none() && cell.plays_fast();
         let out_of_time = if fast { Some("cameras.pace = \"fast\"") } else { args.soak.map(|_| "--soak") };
         if let Some(what) = out_of_time.filter(|_| !simulated && cell.cameras.backend == Backend::Replay) {
             return Err(RunError::RealArm { what });
@@ -278,7 +276,7 @@ fn live(cell: &Cell, wait: bool) -> Result<Eyes, RunError> {
             );
         }
     }
-    let open = |side: &'static str, settings: &config::CameraSettings| {
+    let open = |side: &'static str, settings: &CameraSettings| {
         let patience = if wait { Duration::ZERO } else { CAMERA_PATIENCE };
         match V4lCamera::open_within(settings.clone(), patience) {
             // It goes on trying, and says why it must.

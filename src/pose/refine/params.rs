@@ -17,8 +17,8 @@ pub struct Params {
     pub shading: Shading,
     /// Standard deviation of an end, in pixels.
     pub end_sigma_px: f64,
-    /// Height above the axis, in radii, of the outline of an end that leans up or away, whose face is not seen: where the lit upper side
-    /// stops. Then for one of which the face is seen, and as light as the wire: the lower rim.
+    /// Height above the axis, in radii, of the outline of an end that leans up or away, whose face is not seen: where the
+    /// lit upper side stops. Then for one of which the face is seen, and as light as the wire: the lower rim.
     pub end_lift_radii: [f64; 2],
     /// Whether faces always are as light or dark as the wire, as those of dark parts are. Else light comes from above.
     pub faces_like_wire: bool,
