@@ -37,9 +37,15 @@ impl Waker {
         rustix::io::read(&self.fd, &mut count).is_ok()
     }
 
-    /// Sleeps until woken, at most `timeout` (`None`: for ever), and clears. Whether it was woken.
+    /// Sleeps until woken, at most `timeout` (`None`: for ever), and clears. Whether it was woken; a signal ends the
+    /// sleep early.
     pub fn wait(&self, timeout: Option<Duration>) -> bool {
-        wait_readable(&[self.fd.as_fd()], timeout);
+        let timeout = timeout.map(|t| Timespec {
+            tv_sec: i64::try_from(t.as_secs()).unwrap_or(i64::MAX),
+            tv_nsec: i64::from(t.subsec_nanos()),
+        });
+        // EINTR is an early end of the sleep, which every caller allows for.
+        let _ = poll(&mut [PollFd::new(&self.fd, PollFlags::IN)], timeout.as_ref());
         self.clear()
     }
 }
@@ -48,25 +54,6 @@ impl AsFd for Waker {
     fn as_fd(&self) -> BorrowedFd<'_> {
         self.fd.as_fd()
     }
-}
-
-/// Sleeps until one of at most four descriptors can be read (or has an error), at most `timeout`. A signal ends
-/// the sleep early.
-///
-/// # Panics
-/// With more than four descriptors, or none.
-fn wait_readable(fds: &[BorrowedFd<'_>], timeout: Option<Duration>) {
-    assert!((1..=4).contains(&fds.len()), "1 to 4 descriptors to wait for");
-    let timeout = timeout.map(|t| Timespec {
-        tv_sec: i64::try_from(t.as_secs()).unwrap_or(i64::MAX),
-        tv_nsec: i64::from(t.subsec_nanos()),
-    });
-    let mut polled = [fds[0]; 4].map(|fd| PollFd::from_borrowed_fd(fd, PollFlags::IN));
-    for (slot, &fd) in polled.iter_mut().zip(fds) {
-        *slot = PollFd::from_borrowed_fd(fd, PollFlags::IN);
-    }
-    // EINTR is an early end of the sleep, which every caller allows for.
-    let _ = poll(&mut polled[..fds.len()], timeout.as_ref());
 }
 
 #[cfg(test)]

@@ -39,7 +39,8 @@ pub struct Carrier<'a> {
     ordered: Option<(Job, FramePair)>,
     /// Pairs that were finished since somebody last looked.
     pub pairs_finished: u32,
-    last_finished: Timestamp,
+    /// Of the last pair, from its older frame to the end of its recognition.
+    frame_to_result_ns: i64,
     ending: Option<Ending>,
 }
 
@@ -57,7 +58,7 @@ impl<'a> Carrier<'a> {
             file: None,
             ordered: None,
             pairs_finished: 0,
-            last_finished: Timestamp::default(),
+            frame_to_result_ns: 0,
             ending: None,
         }
     }
@@ -120,7 +121,6 @@ impl<'a> Carrier<'a> {
             Letter::Back(side) => self.event(&Event::CameraBack { side }, now),
             Letter::Ended(side) => self.event(&Event::CameraEnded { side }, now),
             Letter::Recognised(pair, found, file) => {
-                self.last_finished = file.finished;
                 self.measure(&file);
                 self.file = Some(file);
                 self.event(&Event::Recognised { pair, found }, now);
@@ -268,7 +268,8 @@ impl<'a> Carrier<'a> {
             }
             Note::Sent { frame_to_wire_ns, .. } => {
                 self.desk.telemetry.record(Stage::FrameToWire, frame_to_wire_ns);
-                self.desk.telemetry.record(Stage::Wire, now.since(self.last_finished));
+                let wire_ns = frame_to_wire_ns.saturating_sub(self.frame_to_result_ns);
+                self.desk.telemetry.record(Stage::Wire, wire_ns);
                 Paper::Note(note, now)
             }
             _ => Paper::Note(note, now),
@@ -295,11 +296,12 @@ impl<'a> Carrier<'a> {
         self.file.take()
     }
 
-    fn measure(&self, file: &File) {
+    fn measure(&mut self, file: &File) {
         let telemetry = &self.desk.telemetry;
         let stages = &file.recognition.stages;
         let earliest = file.pair.left.timestamp.min(file.pair.right.timestamp);
-        telemetry.record(Stage::FrameToResult, file.finished.since(earliest));
+        self.frame_to_result_ns = file.finished.since(earliest);
+        telemetry.record(Stage::FrameToResult, self.frame_to_result_ns);
         if file.refusal.is_some() {
             return;
         }

@@ -156,7 +156,6 @@ fn chain(nodes: usize) -> MatchModel {
     let anchors = points.iter().enumerate().map(|(k, p)| Anchor {
         role: if end(k) { NodeRole::End } else { NodeRole::Bend },
         position_mm: *p,
-        node: end(k).then_some(k.min(1)),
         legs: Vec::new(),
         is_repeated: false,
         corners: Vec::new(),

@@ -180,11 +180,11 @@ impl Gate {
                 {
                     return;
                 }
-                let Some((node, z_mm)) = stereo_node(params, &geometry, [left, right], i, j, gap_px) else {
+                let Some(node) = stereo_node(params, &geometry, [left, right], i, j, gap_px) else {
                     return;
                 };
                 let any_thickness = params.mode == Mode::None || node.role == NodeRole::Junction;
-                if any_thickness || thickness_fits(params, l, r, z_mm, rig, thickness_mm) {
+                if any_thickness || thickness_fits(params, l, r, node.point_mm.z, rig, thickness_mm) {
                     *truncated |= nodes.len() == params.nodes_max;
                     if !*truncated {
                         nodes.push(node);
@@ -268,7 +268,7 @@ pub(super) fn stereo_node(
     i: usize,
     j: usize,
     gap_px: f64,
-) -> Option<(StereoNode, f64)> {
+) -> Option<StereoNode> {
     let (l, r) = (&left[i], &right[j]);
     let role = common_role(l.role, r.role)?;
     let seen = geometry.triangulate(l.ray, r.ray)?;
@@ -285,7 +285,7 @@ pub(super) fn stereo_node(
         moved(r, seen.right_norm, geometry.focal_right_px),
     ];
     let (left, right) = (i as u16, j as u16);
-    Some((StereoNode { left, right, point_mm: seen.point_left_mm, seen_px, gap_px, role }, z))
+    Some(StereoNode { left, right, point_mm: seen.point_left_mm, seen_px, gap_px, role })
 }
 
 /// The gap of one pair, in pixels.

@@ -102,7 +102,7 @@ impl LengthTable {
         }
         for k in 1..self.anchors {
             let (anchor, parent) = (self.order[k] as usize, self.parent[k] as usize);
-            let limits = [rows::limits(model.distance_mm(parent, anchor), tolerance_mm)];
+            let wanted_mm = [model.distance_mm(parent, anchor) as f32];
             let (role, parents) = (model.anchors[anchor].role, model.anchors[parent].role);
             for (c, at) in all.iter().enumerate() {
                 self.from.push(self.items.len() as u32);
@@ -112,12 +112,20 @@ impl LengthTable {
                 if budget.is_over() {
                     return false;
                 }
-                rows::within(self.level, candidates.points(), at.point_mm, &limits, &mut self.row);
+                let from = (at.point_mm, [at.left, at.right]);
+                let tolerance_mm = tolerance_mm as f32;
+                rows::at_distance(
+                    self.level,
+                    candidates.points(),
+                    from,
+                    &wanted_mm,
+                    tolerance_mm,
+                    &mut self.row,
+                );
                 for_bits(&self.row[..words], |n| {
                     // Behind the last there are others, which are nowhere.
                     let Some(other) = all.get(n) else { return };
-                    let apart = other.left != at.left && other.right != at.right;
-                    if apart && may_be(role, other.role) && self.items.len() < ITEMS_MAX {
+                    if may_be(role, other.role) && self.items.len() < ITEMS_MAX {
                         self.items.push(n as u16);
                         self.owners.push(c as u16);
                     }

@@ -98,7 +98,7 @@ impl OpenPairs {
         }
         let (i, j) = (candidate.left as usize, candidate.right as usize);
         let gap = candidate.gap_px as f64;
-        let (node, _) = stereo_node(&self.params, pictures.geometry, pictures.nodes, i, j, gap)?;
+        let node = stereo_node(&self.params, pictures.geometry, pictures.nodes, i, j, gap)?;
         self.stereo.push(node);
         Some(self.stereo.len() as u16 - 1)
     }
@@ -114,7 +114,7 @@ fn work_out(params: &GateParams, pictures: &Pictures, l: usize, r: usize) -> Can
     let [left, right] = pictures.nodes;
     let gap = gap_px(pictures.geometry, &left[l], &right[r]);
     match stereo_node(params, pictures.geometry, [left, right], l, r, gap) {
-        Some((node, _)) => Candidate::new(pictures.geometry, 0, &node, left, right),
+        Some(node) => Candidate::new(pictures.geometry, 0, &node, left, right),
         None => Candidate::unexplained(l, r),
     }
 }

@@ -1,9 +1,10 @@
 //! The exact search for a part of two nodes that look alike and one span, as every straight wire is: its matches are
 //! pairs of candidates.
 //!
-//! Takes and gives what [`exhaustive`](super::exhaustive) does and finds the same matches, of the same fitness. Its tree
-//! would meet every pair twice, once either way round, and keep rows, measures and domains for anchors that there are
-//! not. Here each pair is measured once and given both ways round. A step is a candidate or a pair.
+//! Takes and gives what [`exhaustive`](super::exhaustive) does and finds the same pairs, of the same fitness. Its tree
+//! would keep rows, measures and domains for anchors that there are not. Here each pair is measured once and given both
+//! ways round, also where the part looks the same turned: from its other end a refinement looks at other places of the
+//! wire, and where much is covered one of the two may get there and the other not. A step is a candidate or a pair.
 
 use super::candidates::{Candidate, Candidates};
 use super::exhaustive::{Exhaustive, Limits};

@@ -20,8 +20,6 @@ pub struct Anchor {
     pub role: NodeRole,
     /// Place in the part's frame.
     pub position_mm: Point3<f64>,
-    /// Index of the part's node; `None` for a bend.
-    pub node: Option<usize>,
     /// Unit directions in which wire leaves it, part's frame, with the length of the straight piece in mm.
     pub legs: Vec<(Vector3<f64>, f64)>,
     /// Whether a symmetry of the part puts an anchor before this one here: what is a pose by this one is the same by that.
@@ -32,8 +30,8 @@ pub struct Anchor {
 }
 
 impl Anchor {
-    fn new(role: NodeRole, position_mm: Point3<f64>, node: Option<usize>) -> Self {
-        Self { role, position_mm, node, legs: Vec::new(), is_repeated: false, corners: Vec::new() }
+    fn new(role: NodeRole, position_mm: Point3<f64>) -> Self {
+        Self { role, position_mm, legs: Vec::new(), is_repeated: false, corners: Vec::new() }
     }
 
     fn find_corners(&self, part: &Part) -> Vec<[usize; 2]> {
@@ -227,7 +225,7 @@ pub struct MatchModel {
 /// At a `via` that turns by less, in radians, the wire goes straight on.
 const BEND_RAD_MIN: f64 = 0.09;
 
-/// Where an edge bends, and by how much.
+/// Where an edge bends, and by how much. A straight part has no bends: what turns within so little cannot be seen.
 fn turns<'a>(edge: &'a PartEdge, part: &Part) -> impl Iterator<Item = (&'a Point3<f64>, f64)> {
     let [from, to] = [edge.from, edge.to].map(|n| part.nodes[n].position_mm);
     let turn = move |k: usize| {
@@ -236,7 +234,8 @@ fn turns<'a>(edge: &'a PartEdge, part: &Part) -> impl Iterator<Item = (&'a Point
         let after = edge.via.get(k + 1).copied().unwrap_or(to);
         (at, (at - before).angle(&(after - at)))
     };
-    (0..edge.via.len()).map(turn).filter(|(_, turn_rad)| *turn_rad >= BEND_RAD_MIN)
+    let vias = if part.is_straight() { 0 } else { edge.via.len() };
+    (0..vias).map(turn).filter(|(_, turn_rad)| *turn_rad >= BEND_RAD_MIN)
 }
 
 impl MatchModel {
@@ -246,17 +245,13 @@ impl MatchModel {
     /// Where the part has more than [`ANCHORS_MAX`] nodes and bends; [`Part`] files are checked for that before.
     pub fn new(part: &Part) -> Self {
         let role = |n: usize| if part.degree(n) == 1 { NodeRole::End } else { NodeRole::Junction };
-        let mut anchors: Vec<Anchor> = part
-            .nodes
-            .iter()
-            .enumerate()
-            .map(|(n, node)| Anchor::new(role(n), node.position_mm, Some(n)))
-            .collect();
+        let mut anchors: Vec<Anchor> =
+            part.nodes.iter().enumerate().map(|(n, node)| Anchor::new(role(n), node.position_mm)).collect();
         let mut spans = Vec::new();
         for edge in &part.edges {
             let mut previous = edge.from;
             for (via, _) in turns(edge, part) {
-                anchors.push(Anchor::new(NodeRole::Bend, *via, None));
+                anchors.push(Anchor::new(NodeRole::Bend, *via));
                 spans.push((previous, anchors.len() - 1));
                 previous = anchors.len() - 1;
             }
@@ -401,7 +396,7 @@ mod tests {
     #[test]
     fn pieces_that_meet_in_line_make_up_others() {
         let lines = |nodes: &[(f64, f64)], edges: &[(usize, usize)]| {
-            let anchor = |&(x, y): &(f64, f64)| Anchor::new(NodeRole::Junction, Point3::new(x, y, 0.0), None);
+            let anchor = |&(x, y): &(f64, f64)| Anchor::new(NodeRole::Junction, Point3::new(x, y, 0.0));
             let anchors: Vec<_> = nodes.iter().map(anchor).collect();
             let length_mm =
                 |from: usize, to: usize| (anchors[to].position_mm - anchors[from].position_mm).norm();
@@ -450,5 +445,18 @@ mod tests {
             assert_eq!((&repeated(&model)[..], model.turned), (expected, turned), "{name}");
             assert_eq!(corners(&model), corners_expected, "{name}");
         }
+    }
+
+    #[test]
+    fn a_straight_part_has_no_bends_that_could_be_seen() {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("replay/parts/rod-90.toml");
+        let mut part = Part::read(file).unwrap();
+        let straight = MatchModel::new(&part);
+        let [from, to] = [0, 1].map(|n| part.nodes[n].position_mm);
+        let across = Vector3::z() * (0.08 * part.thickness_mm);
+        part.edges[0].via = vec![from + (to - from) * (2.0 / (to - from).norm()) + across];
+        assert_eq!(MatchModel::new(&part), straight);
+        part.edges[0].via[0] += 10.0 * across;
+        assert_eq!(MatchModel::new(&part).anchors.len(), 3);
     }
 }

@@ -137,7 +137,7 @@ pub fn is_certain(fit: &Fit, verdict: &Verdict, ends: usize) -> bool {
 /// The same, but that some wire may be missing, or hidden.
 fn is_between_its_ends(fit: &Fit, verdict: &Verdict, ends: usize) -> bool {
     verdict.ends_seen as usize == 2 * ends
-        && verdict.ends_off_px < 0.5 * verdict.ends_seen as f64
+        && verdict.ends_off_px <= 0.5 * verdict.ends_seen as f64
         && verdict.overrun_mm == 0.0
         && verdict.offset_px < 0.35
         && fit.misfit < 1.2
@@ -204,7 +204,7 @@ const STRAIGHT_GOES_ON_RADII_MAX: f64 = 2.5;
 /// nothing speaks against it, or each free end is seen in a picture, or it is bent. `overrun_mm`: how far wire goes on beyond
 /// it that is not known to be another's; two wires that cross look like the legs of a bent part that goes on.
 pub fn is_proven(model: &PoseModel, fit: &Fit, verdict: &Verdict, overrun_mm: f64) -> bool {
-    let shows_ends = verdict.ends_shown as usize == model.ends.len();
+    let shows_ends = !model.ends.is_empty() && verdict.ends_shown as usize == model.ends.len();
     let stops_within = |radii: f64| overrun_mm <= radii * model.radius_mm;
     let is_held = match model.straight_along {
         Some(_) => {
@@ -342,6 +342,17 @@ mod tests {
         assert_eq!(left_mm(&claims), (0.0, true));
         claims[1].clear();
         assert_eq!(left_mm(&claims), (2.0, false));
+    }
+
+    #[test]
+    fn a_part_without_free_ends_is_held_by_its_shape_and_doubted_where_wire_goes_on() {
+        let mut model = model("hook.toml");
+        model.ends.clear();
+        let verdict = Verdict { ends_shown: 0, ..in_sight(&model, 0) };
+        let fit = Fit { misfit: 0.6, ..Fit::default() };
+        assert!(is_certain(&fit, &verdict, 0) && !is_certain(&fit, &verdict, 1));
+        let is_proven = |radii: f64| is_proven(&model, &fit, &verdict, radii * model.radius_mm);
+        assert_eq!([0.0, 1.4, 1.6].map(is_proven), [true, true, false]);
     }
 
     #[test]

@@ -55,8 +55,6 @@ const CLUSTER: usize = 8;
 /// A free end of the part.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FreeEnd {
-    /// Index of the part's node.
-    pub node: usize,
     /// Place in the part's frame.
     pub position_mm: Point3<f64>,
     /// Unit direction out of the part.
@@ -204,18 +202,10 @@ fn free_ends(part: &Part, step_mm: f64) -> Vec<FreeEnd> {
         let line = part.centreline(index, step_mm);
         let (first, last) = (&line[0], &line[line.len() - 1]);
         if part.degree(edge.from) == 1 {
-            ends.push(FreeEnd {
-                node: edge.from,
-                position_mm: first.position_mm,
-                outward: -first.tangent.into_inner(),
-            });
+            ends.push(FreeEnd { position_mm: first.position_mm, outward: -first.tangent.into_inner() });
         }
         if part.degree(edge.to) == 1 {
-            ends.push(FreeEnd {
-                node: edge.to,
-                position_mm: last.position_mm,
-                outward: last.tangent.into_inner(),
-            });
+            ends.push(FreeEnd { position_mm: last.position_mm, outward: last.tangent.into_inner() });
         }
     }
     ends

@@ -26,7 +26,7 @@ impl Recognizer {
         let Self { explanations, parts, scales, pictures, params, lighting, .. } = self;
         let rig = rig_of(scales, pictures);
         let Some(views) = views(pictures, rig, pair, *lighting) else { return true };
-        let in_time = explanations.decide(parts, &params.select, &views, exchanging, PARTS_MAX);
+        let in_time = explanations.decide(parts, &params.select, &views, exchanging);
         explanations.press_apart(parts, &grasp::down_in_left(&params.grasp), &views);
         let prepared = |e: &Explanation| &parts[e.hypothesis.part];
         let lights = explanations.standing().map(|e| &e.light);

@@ -27,6 +27,7 @@ mod serial;
 pub mod shared;
 mod simulated;
 
+pub use port::probe;
 pub use recorded::{Answers, RecordedLink, Said, What};
 pub use serial::{SerialError, SerialLink};
 pub use shared::{SharedError, SharedMemoryLink};

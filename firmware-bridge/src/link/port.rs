@@ -5,7 +5,7 @@
 //! that crate waits in its own `read` and `write`, and its `flush` waits for a line that may never drain.
 
 use super::serial::SerialError;
-use rustix::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd};
+use rustix::fd::{AsFd, AsRawFd, BorrowedFd};
 use rustix::fs::{Mode, OFlags};
 use rustix::io::Errno;
 use rustix::termios::{ControlModes, OptionalActions, QueueSelector};
@@ -61,13 +61,22 @@ fn explain(path: &Path, baud: u32, reason: serialport::Error) -> SerialError {
     if reason.kind() == serialport::ErrorKind::NoDevice {
         return open_error(path, Errno::BUSY);
     }
-    let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
-    let probe: Result<OwnedFd, _> = rustix::fs::open(path, flags, Mode::empty());
-    match probe.map(|port| rustix::termios::tcgetattr(&port)) {
-        Err(reason) => open_error(path, reason),
-        Ok(Err(reason)) => configure_error(path, baud, reason),
-        Ok(Ok(_)) => SerialError::Refused { path: path.into(), baud, reason },
+    match probe(path, baud) {
+        Err(error) => error,
+        Ok(()) => SerialError::Refused { path: path.into(), baud, reason },
     }
+}
+
+/// Whether a port can be opened and is a serial one. Sends nothing and leaves its settings, so that an arm goes on
+/// undisturbed.
+///
+/// # Errors
+/// A port that is not there, busy, forbidden or no serial device.
+pub fn probe(path: &Path, baud: u32) -> Result<(), SerialError> {
+    let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
+    let port = rustix::fs::open(path, flags, Mode::empty()).map_err(|reason| open_error(path, reason))?;
+    rustix::termios::tcgetattr(&port).map_err(|reason| configure_error(path, baud, reason))?;
+    Ok(())
 }
 
 fn open_error(path: &Path, reason: Errno) -> SerialError {

@@ -12,7 +12,8 @@ use super::action::{Action, Actions, Alarm, Note, TargetEnd};
 use super::event::PlaceRecord;
 use crate::time::Timestamp;
 
-/// How long an answer about an unfinished target is waited for, and how long before a record is written again, ns.
+/// How long an answer about an unfinished target is waited for, how long before an arm that is at it is asked again, and how
+/// long before a record is written again, ns.
 const PATIENCE_NS: i64 = 1_000_000_000;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,6 +30,8 @@ enum Reservation {
     InQuestion,
     /// It was asked; no answer until then means that it cannot tell.
     Asked(Timestamp),
+    /// It is still at it; asked again then.
+    Unfinished(Timestamp),
 }
 
 #[derive(Clone, Debug)]
@@ -58,7 +61,8 @@ impl Place {
 
     /// What became of a target has to be found out before anything is released.
     pub(super) fn in_question(&self) -> bool {
-        matches!(self.reservation, Reservation::InQuestion | Reservation::Asked(_))
+        use Reservation::{Asked, InQuestion, Unfinished};
+        matches!(self.reservation, InQuestion | Asked(_) | Unfinished(_))
     }
 
     /// The target number, slot and tool pose that may be used now; `fallback` where there is no pattern.
@@ -152,10 +156,8 @@ impl Place {
             Outcome::Done => self.fill(actions),
             Outcome::Failed | Outcome::Unknown => self.leave_out(actions),
             Outcome::Refused => self.free(),
-            // Asked again when the time is over.
             Outcome::Unfinished => {
-                self.reservation = Reservation::Asked(Timestamp(now.0.saturating_add(PATIENCE_NS)));
-                actions.push(Action::Arm(Command::Query { id }));
+                self.reservation = Reservation::Unfinished(Timestamp(now.0.saturating_add(PATIENCE_NS)));
             }
         }
     }
@@ -163,6 +165,7 @@ impl Place {
     pub(super) fn time_passes(&mut self, now: Timestamp, actions: &mut Actions) {
         match self.reservation {
             Reservation::Asked(until) if now >= until => self.leave_out(actions),
+            Reservation::Unfinished(again) if now >= again => self.ask(now, actions),
             Reservation::Refused(again) if now >= again => self.free(),
             _ => {}
         }
@@ -170,7 +173,7 @@ impl Place {
 
     pub(super) fn next_tick(&self) -> Option<Timestamp> {
         match self.reservation {
-            Reservation::Asked(at) | Reservation::Refused(at) => Some(at),
+            Reservation::Asked(at) | Reservation::Unfinished(at) | Reservation::Refused(at) => Some(at),
             _ => None,
         }
     }

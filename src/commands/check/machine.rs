@@ -5,19 +5,15 @@ use std::path::Path;
 use std::time::Duration;
 
 use firmware_bridge::config::{LinkName, Resume, Settings};
-use firmware_bridge::link::{SharedError, SharedMemoryLink};
+use firmware_bridge::link::{self, SerialError, SharedError, SharedMemoryLink};
 use firmware_bridge::message::Report;
-use rustix::fs::{Mode, OFlags};
-use rustix::process::{Resource, getrlimit};
 
 use super::Findings;
+use crate::cell::realtime::{Granted, Wish, apply, lock_memory};
 use crate::commands::run::place;
 use crate::config::{Cell, Scheduling};
 use crate::files::can_write;
 use crate::time::Timestamp;
-
-/// Memory that a cell locks at most, bytes: pictures, stages and the program itself.
-const LOCKED_BYTES: u64 = 512 << 20;
 
 /// Rights, memory, cores, and the way to the arm.
 pub(super) fn check(cell: &Cell, findings: &mut Findings) {
@@ -29,7 +25,7 @@ pub(super) fn check(cell: &Cell, findings: &mut Findings) {
     match cell.arm_side.arm.link {
         LinkName::Replay => findings.ok("arm", "that of the session, or simulated"),
         LinkName::Serial => match &cell.arm_side.arm.port {
-            Some(port) => serial_port(port, findings),
+            Some(port) => serial_port(port, cell.arm_side.arm.baud, findings),
             None => findings.wrong("arm", "link = \"serial\" needs arm.port"),
         },
         LinkName::SharedMemory => shared_memory(&cell.arm_side, findings),
@@ -89,73 +85,44 @@ fn scheduling(cell: &Cell, findings: &mut Findings) {
     let realtime = &cell.realtime;
     let priority = realtime.arm_priority.max(realtime.grab_priority).max(realtime.recognise_priority);
     // The only proof is to ask for it, in a thread that ends at once.
-    let granted = std::thread::spawn(move || ask_for_fifo(i32::from(priority))).join();
-    match granted {
-        Ok(Ok(())) => {
-            findings.ok("real-time rights", format!("SCHED_FIFO up to priority {priority} is granted"))
-        }
-        Ok(Err(error)) => findings.warning(
+    let wish = Wish { fifo_priority: Some(priority), cores: Vec::new(), prefault_bytes: 0 };
+    match std::thread::spawn(move || apply(&wish).fifo).join() {
+        Ok(Granted::No { errno }) => findings.warning(
             "real-time rights",
-            format!("SCHED_FIFO with priority {priority} is refused: {error}"),
+            format!(
+                "SCHED_FIFO with priority {priority} is refused: {}",
+                io::Error::from_raw_os_error(errno)
+            ),
             "start the cell by the systemd unit of deploy/ (LimitRTPRIO), or give the user `rtprio 40` in \
              /etc/security/limits.d; without it a busy machine delays targets by many milliseconds",
         ),
+        Ok(_) => findings.ok("real-time rights", format!("SCHED_FIFO up to priority {priority} is granted")),
         Err(_) => findings.warning("real-time rights", "not known", "try again"),
     }
 }
 
-fn ask_for_fifo(priority: i32) -> io::Result<()> {
-    let parameters = libc::sched_param { sched_priority: priority };
-    // SAFETY: sets the scheduling of the calling thread only, from a structure that lives through the call.
-    match unsafe {
-        libc::pthread_setschedparam(libc::pthread_self(), libc::SCHED_FIFO, &raw const parameters)
-    } {
-        0 => Ok(()),
-        errno => Err(io::Error::from_raw_os_error(errno)),
-    }
-}
-
+/// Asks for it as `run` does; it ends with this process.
 fn locked_memory(findings: &mut Findings) {
-    let limit = getrlimit(Resource::Memlock).current;
-    let privileged = rustix::process::geteuid().is_root();
-    match limit {
-        None => findings.ok("locked memory", "no limit"),
-        Some(_) if privileged => findings.ok("locked memory", "no limit for root"),
-        Some(bytes) if bytes >= LOCKED_BYTES => findings.ok("locked memory", format!("up to {} MiB", bytes >> 20)),
-        Some(bytes) => findings.warning(
+    match lock_memory() {
+        Granted::No { errno } => findings.warning(
             "locked memory",
-            format!("only {} KiB may be locked, the cell locks up to {} MiB", bytes >> 10, LOCKED_BYTES >> 20),
+            format!("memory cannot be locked without limit: {}", io::Error::from_raw_os_error(errno)),
             "start the cell by the systemd unit of deploy/ (LimitMEMLOCK), or give the user `memlock unlimited` in \
              /etc/security/limits.d",
         ),
+        granted => findings.ok("locked memory", granted.to_string()),
     }
 }
 
-fn serial_port(port: &Path, findings: &mut Findings) {
+fn serial_port(port: &Path, baud: u32, findings: &mut Findings) {
     let subject = "serial port";
-    let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
     let shown = port.display();
-    match rustix::fs::open(port, flags, Mode::empty()).map_err(io::Error::from) {
-        Ok(fd) if rustix::termios::isatty(&fd) => findings.ok(subject, format!("{shown} can be opened")),
-        Ok(_) => findings.wrong(subject, format!("{shown} is no serial port; `pickcell devices` lists them")),
-        Err(error) => match error.raw_os_error() {
-            Some(libc::ENOENT | libc::ENODEV | libc::ENXIO) => findings.error(
-                subject,
-                format!("{shown}: there is no such port"),
-                "plug the arm in, or take its path from `pickcell devices`",
-            ),
-            Some(libc::EACCES | libc::EPERM) => findings.error(
-                subject,
-                format!("{shown}: no right to open it (EACCES)"),
-                "add the user to the group dialout and log in again, or install the udev rule of deploy/",
-            ),
-            Some(libc::EBUSY) => findings.error(
-                subject,
-                format!("{shown}: another program has it (EBUSY)"),
-                format!("end that one, `fuser -v {shown}` names it"),
-            ),
-            _ => findings.error(subject, format!("{shown}: {error}"), "plug the arm in anew"),
-        },
+    match link::probe(port, baud) {
+        Ok(()) => findings.ok(subject, format!("{shown} can be opened")),
+        Err(SerialError::Open { reason, remedy, .. }) => {
+            findings.error(subject, format!("{shown}: {reason}"), remedy)
+        }
+        Err(error) => findings.wrong(subject, error.to_string()),
     }
 }
 

@@ -88,7 +88,7 @@ pub struct RecognizeArgs {
     /// Time for a pair, in milliseconds, from the moment its pictures are read [default: 30]
     #[arg(long, value_name = "MS", allow_hyphen_values = true, value_parser = milliseconds, conflicts_with = "iterations", help_heading = "Search")]
     pub deadline_ms: Option<f64>,
-    /// A count of search iterations in place of a deadline: the same result on every machine
+    /// A count of search iterations in place of a deadline: the same result however fast the machine
     #[arg(long, value_name = "N", allow_hyphen_values = true, value_parser = whole::<u64>(1, u64::MAX), help_heading = "Search")]
     pub iterations: Option<u64>,
     /// Seed of all randomness [default: 1]

@@ -56,7 +56,7 @@ impl Explanations {
         }
     }
 
-    /// Decides which stand, at most so many, where those lie that nothing holds along themselves, and how the light lies on
+    /// Decides which stand, at most [`PARTS_MAX`], where those lie that nothing holds along themselves, and how the light lies on
     /// them, and which are proved; says whether there was time to weigh them all.
     pub(in crate::recognize) fn decide(
         &mut self,
@@ -64,12 +64,11 @@ impl Explanations {
         params: &select::Params,
         views: &[View; 2],
         exchanging: &mut Watch,
-        most: usize,
     ) -> bool {
         let mut in_time = self.weigh(parts, params, exchanging);
-        if self.standing.len() > most {
+        if self.standing.len() > PARTS_MAX {
             // What there is no room for is not known to be anything.
-            self.standing.truncate(most);
+            self.standing.truncate(PARTS_MAX);
             self.claim_standing();
             in_time = false;
         }

@@ -338,7 +338,7 @@ impl Explanations {
     }
 
     /// A fit that explains the pictures much better than a doubtful one, where one of the ends is not what it was taken for; else the
-    /// doubtful one, or what time has left of it.
+    /// doubtful one. `None` where time is over.
     fn refit(
         &mut self,
         model: &PoseModel,

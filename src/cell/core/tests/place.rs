@@ -119,8 +119,12 @@ fn an_unfinished_target_is_asked_about_before_anything_is_released() {
         let mut bench = Bench::new(with_place(record), &settings("resume = \"auto\""));
         bench.arm(Report::Connected { session: 3, held_by: HeldBy::Start });
         assert_eq!(bench.commands(), [Command::Query { id: 499 }]);
-        bench.arm(Report::Outcome { id: 499, outcome: Outcome::Unfinished });
-        assert_eq!(bench.commands(), [Command::Query { id: 499 }]);
+        for _ in 0..3 {
+            bench.arm(Report::Outcome { id: 499, outcome: Outcome::Unfinished });
+            assert_eq!(bench.commands(), []);
+            bench.pass(1000 * MS);
+            assert_eq!(bench.commands(), [Command::Query { id: 499 }]);
+        }
         bench.arm(Report::Outcome { id: 499, outcome });
         assert_eq!(bench.commands(), [Command::Release]);
         let left_out = bench.alarms() == [Alarm::SlotLeftOut { slot: 1 }];
