@@ -42,7 +42,7 @@ if [ -e "$cell" ]; then
     say "$cell is there already and stays as it is"
 else
     install -d "$DESTDIR/etc/pickcell"
-    sed -e "s,\"replay/,\"$share/replay/,g" -e 's,"out/,"/var/lib/pickcell/,g' cell.toml >"$cell"
+    sed -e "s,\"replay/,\"$share/replay/,g" -e 's,"out/,"/var/lib/pickcell/,g' -e 's,"recordings","/var/lib/pickcell/recordings",' cell.toml >"$cell"
     say "$cell: a first cell, on the recorded session"
 fi
 

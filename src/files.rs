@@ -13,6 +13,9 @@ use rustix::fs::{AtFlags, CWD, Mode, OFlags};
 /// # Errors
 /// What the operating system said; nothing is left behind then.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    // Of a link what it points to is written, where that is.
+    let real = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    let path = real.as_path();
     let name = path
         .file_name()
         .ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, "the path names no file"))?;
@@ -107,6 +110,16 @@ mod tests {
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
         assert!(can_write(&folder.path().join("absent")).is_err());
         assert!(can_write(Path::new("/proc")).is_err());
+    }
+
+    #[test]
+    fn of_a_link_what_it_points_to_is_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let [real, link] = ["real", "link"].map(|name| folder.path().join(name));
+        write_atomically(&real, b"old").unwrap();
+        std::os::unix::fs::symlink("real", &link).unwrap();
+        write_atomically(&link, b"new").unwrap();
+        assert!(link.is_symlink() && fs::read(&real).unwrap() == b"new");
     }
 
     #[test]

@@ -7,7 +7,15 @@ mod rgb;
 pub use luma::LumaView;
 pub use rgb::RgbView;
 
+use std::ops::RangeInclusive;
+
 use crate::time::Timestamp;
+
+/// Widest and highest picture that is taken, in pixels.
+pub const SIDE_PX_MAX: u32 = 8192;
+
+/// Frames a second that cameras and sessions may have.
+pub const RATE_HZ: RangeInclusive<f64> = 0.1..=1000.0;
 
 /// How the bytes of a frame are to be read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]

@@ -45,12 +45,12 @@
 //! | [`config`] | cell.toml as written → checked [`Cell`](config::Cell) | cold |
 //! | [`time`] | time stamps, [`Budget`](time::Budget); the only room that reads a clock | leaf |
 //! | [`frame`] | pictures with format, stride, colour encoding and time stamp | leaf |
-//! | [`handover`] | frames from thread to thread; the newest wins, the rest is counted | leaf |
+//! | [`handover`] | wakes a thread that sleeps | leaf |
 //! | [`hands`] | one half of a job done by a second thread | leaf |
 //! | [`level`] | the instruction sets that this machine has | leaf |
 //! | [`rig`] | intrinsics, distortion, stereo geometry, calibration files | leaf |
 //! | [`part`] | part models: nodes, edges, thickness, grasp, symmetries | leaf |
-//! | [`camera`] | V4L2 cameras, recorded sessions as cameras, the frame pool | edge |
+//! | [`camera`] | V4L2 cameras, recorded sessions as cameras | edge |
 //! | [`vision`] | pixels → nodes and edges | hot, pure |
 //! | [`matching`], [`pose`] | nodes → matches → poses | hot, pure |
 //! | [`grasp`] | poses → targets | hot, pure |

@@ -9,6 +9,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::io::Errno;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 /// Largest text file that is read: a thousand times what any cell needs. A device that never ends (/dev/zero) must
@@ -65,13 +66,13 @@ fn ignores(status: &str, signal: i32) -> bool {
 }
 
 /// Whether a line can be written to an output without waiting, or can be within a time. A paused terminal, or a
-/// reader that stands still, must not hold up what writes. What is broken does not wait either: there is room.
+/// reader that stands still, must not hold up what writes. What is broken does not wait either: there is room. A signal ends the wait.
 pub fn has_room(output: impl AsFd, within: Duration) -> bool {
     let timeout = Timespec {
         tv_sec: i64::try_from(within.as_secs()).unwrap_or(i64::MAX),
         tv_nsec: i64::from(within.subsec_nanos()),
     };
-    !matches!(poll(&mut [PollFd::new(&output, PollFlags::OUT)], Some(&timeout)), Ok(0))
+    !matches!(poll(&mut [PollFd::new(&output, PollFlags::OUT)], Some(&timeout)), Ok(0) | Err(Errno::INTR))
 }
 
 #[cfg(test)]

@@ -6,6 +6,8 @@ use std::path::{Path, PathBuf};
 use nalgebra::{Point3, Vector3};
 use serde::Deserialize;
 
+use crate::session::is_picture;
+
 /// Scenes of one rig.
 #[derive(Clone, Debug)]
 pub struct SceneSet {
@@ -114,6 +116,16 @@ pub enum TruthError {
         /// Why.
         source: serde_json::Error,
     },
+    /// A scene without one of its pictures.
+    #[error(
+        "{folder}: there is a truth, but no picture {stem}.png or {stem}.jpg; put it there, or take the truth away"
+    )]
+    NoPicture {
+        /// Where it should be.
+        folder: PathBuf,
+        /// Its name without the ending.
+        stem: String,
+    },
     /// A folder without scenes.
     #[error(
         "{0} holds no scenes: expected sets/<set>/scene-NN/truth.json or truth/NNNN.json with left/ and right/"
@@ -128,8 +140,8 @@ pub enum TruthError {
 pub fn read_sets(root: &Path) -> Result<Vec<SceneSet>, TruthError> {
     let mut sets = Vec::new();
     for folder in folders(&root.join("sets")).into_iter().chain(folders(root)) {
-        let scenes = if folder.join("truth").is_dir() { sequence(&folder) } else { scenes(&folder) };
-        if scenes.is_empty() || !folder.join("set.json").is_file() {
+        let scenes = if folder.join("truth").is_dir() { sequence(&folder)? } else { scenes(&folder)? };
+        if scenes.is_empty() {
             continue;
         }
         let set: SetFile = read_json(&folder.join("set.json"))?;
@@ -169,27 +181,29 @@ fn entries(root: &Path) -> Vec<PathBuf> {
     all
 }
 
-fn scenes(folder: &Path) -> Vec<Scene> {
+fn scenes(folder: &Path) -> Result<Vec<Scene>, TruthError> {
     let scene = |f: PathBuf| {
-        let truth = f.join("truth.json");
         let pictures = [picture(&f, "left")?, picture(&f, "right")?];
-        let name = f.file_name()?.to_string_lossy().into_owned();
-        truth.is_file().then_some(Scene { name, pictures, truth })
+        let name = f.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        Ok(Scene { name, pictures, truth: f.join("truth.json") })
     };
-    folders(folder).into_iter().filter_map(scene).collect()
+    folders(folder).into_iter().filter(|f| f.join("truth.json").is_file()).map(scene).collect()
 }
 
-fn sequence(folder: &Path) -> Vec<Scene> {
+fn sequence(folder: &Path) -> Result<Vec<Scene>, TruthError> {
     let scene = |truth: PathBuf| {
-        let name = truth.file_stem()?.to_string_lossy().into_owned();
+        let name = truth.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let pictures = [picture(&folder.join("left"), &name)?, picture(&folder.join("right"), &name)?];
-        Some(Scene { name, pictures, truth })
+        Ok(Scene { name, pictures, truth })
     };
-    entries(&folder.join("truth")).into_iter().filter_map(scene).collect()
+    let is_truth = |path: &PathBuf| path.extension().is_some_and(|ending| ending == "json");
+    entries(&folder.join("truth")).into_iter().filter(is_truth).map(scene).collect()
 }
 
-fn picture(folder: &Path, stem: &str) -> Option<PathBuf> {
-    ["png", "jpg"].iter().map(|e| folder.join(format!("{stem}.{e}"))).find(|p| p.is_file())
+fn picture(folder: &Path, stem: &str) -> Result<PathBuf, TruthError> {
+    let is_it = |path: &PathBuf| path.file_stem().is_some_and(|of| of == stem) && is_picture(path);
+    let found = entries(folder).into_iter().find(is_it);
+    found.ok_or_else(|| TruthError::NoPicture { folder: folder.into(), stem: stem.into() })
 }
 
 impl Object {

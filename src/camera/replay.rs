@@ -84,6 +84,10 @@ impl Moments {
     }
 }
 
+fn read(picture: &RecordedPicture, raw: bool) -> Result<Frame, PictureError> {
+    if raw { picture.read_raw() } else { picture.read() }
+}
+
 /// One side of a session.
 #[derive(Debug)]
 pub struct ReplayCamera {
@@ -93,6 +97,8 @@ pub struct ReplayCamera {
     marks: Vec<TimestampMark>,
     moments: Arc<Moments>,
     pace: Pace,
+    /// Pictures are decoded before they are played.
+    raw: bool,
     /// Next pair; the session starts anew at its end until `at` of all pairs are used up.
     next: usize,
     /// The last pair that was played.
@@ -121,14 +127,14 @@ impl ReplayCamera {
         let mut side = |side: Side| -> Result<Self, SessionError> {
             let mut pictures = Vec::with_capacity(session.pairs.len());
             let (mut is_any_whole, mut first_error) = (false, None);
-            let played = |pair: &&RecordedPair| !matches!(pace, Pace::Stepped(_)) || pair.is_whole();
+            let played = |pair: &&RecordedPair| !matches!(pace, Pace::Stepped(_)) || pair.is_stepped();
             let marks = session.pairs.iter().filter(played).map(|pair| pair.marks[side.index()]).collect();
             for pair in session.pairs.iter().filter(played) {
                 let Some(picture) = &pair.pictures[side.index()] else {
                     pictures.push(Picture::Absent);
                     continue;
                 };
-                let frame = match if raw { picture.read_raw() } else { picture.read() } {
+                let frame = match read(picture, raw) {
                     Ok(frame) => frame,
                     Err(error) if is_only_of(picture, &error) => {
                         first_error.get_or_insert(error);
@@ -153,6 +159,7 @@ impl ReplayCamera {
                 marks,
                 moments: Arc::clone(&moments),
                 pace: pace.clone(),
+                raw,
                 next: 0,
                 previous: None,
             })
@@ -194,7 +201,7 @@ impl ReplayCamera {
                     copy(kept, frame);
                     Condition::Good
                 }
-                Picture::Stored(picture) => match picture.read() {
+                Picture::Stored(picture) => match read(picture, self.raw) {
                     Ok(read) => {
                         copy(&read, frame);
                         Condition::Good

@@ -132,7 +132,7 @@ fn run_set(
         let mut found = Recognition::default();
         let run = recognizer.run(&pair, Budget::Iterations(args.iterations), args.seed, &mut found);
         if let Err(refusal) = run {
-            eprintln!("{}/{}: {refusal}", set.name, scene.name);
+            tracing::error!("{}/{}: {refusal}", set.name, scene.name);
             found = Recognition::default();
             refused += 1;
         } else if let Some(out) = &args.out {

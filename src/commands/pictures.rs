@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use super::recognize::RecognizeError;
 use crate::frame::{Frame, FramePair};
 use crate::rig::{CameraModel, Rig};
-use crate::session::{RecordedPicture, Session};
+use crate::session::{RecordedPicture, Session, is_picture};
 use crate::vision::decode::{Decoder, Output};
 
 /// Two pictures that belong together: one for each side, unless a picture is missing or it is in doubt which it is.
@@ -51,7 +51,8 @@ fn recorded_pairs(path: &Path) -> Result<Vec<PairFiles>, RecognizeError> {
         folder: path.to_owned(),
         files: pair.pictures.map(Vec::from_iter),
     };
-    Ok(session.pairs.into_iter().map(pair).collect())
+    // Lone pictures are recorded to be played as what they are.
+    Ok(session.pairs.into_iter().filter(crate::session::RecordedPair::is_whole).map(pair).collect())
 }
 
 fn session_pairs(folder: &Path) -> Result<Vec<PairFiles>, RecognizeError> {
@@ -94,11 +95,6 @@ fn entries(folder: &Path) -> Result<Vec<PathBuf>, RecognizeError> {
     let mut paths = list.map(|e| e.map(|e| e.path())).collect::<Result<Vec<_>, _>>().map_err(failed)?;
     paths.sort();
     Ok(paths)
-}
-
-fn is_picture(path: &Path) -> bool {
-    let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
-    matches!(&*ending, "png" | "jpg" | "jpeg")
 }
 
 /// Reads both pictures of a pair and checks their sizes. A JPEG stays compressed, as a camera would send it.

@@ -8,13 +8,7 @@ use serde::Deserialize;
 
 use super::error::ConfigError;
 use super::source::Source;
-use crate::frame::{PixelFormat, QuantizationRange, YcbcrMatrix};
-
-/// Widest and highest picture that the driver takes, in pixels.
-pub const PICTURE_SIDE_PX_MAX: u32 = 8192;
-
-/// Fastest camera that the driver takes, in frames a second.
-pub const RATE_HZ_MAX: f64 = 1000.0;
+use crate::frame::{PixelFormat, QuantizationRange, RATE_HZ, SIDE_PX_MAX, YcbcrMatrix};
 
 /// What delivers the frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
@@ -162,7 +156,8 @@ impl Written {
         }
         let pair_window = self.pair_window_ms.map(|ms| {
             // The rate of a session is known when that is open: `Cell::check_pair_window`.
-            let period_ms = left.as_ref().map_or(1000.0, |camera| camera.period().as_secs_f64() * 1e3);
+            let camera = left.as_ref().filter(|_| self.backend == Backend::V4l2);
+            let period_ms = camera.map_or(1000.0, |camera| camera.period().as_secs_f64() * 1e3);
             if ms.is_finite() && ms > 0.0 && ms <= period_ms / 2.0 {
                 return Ok(Duration::from_secs_f64(ms / 1e3));
             }
@@ -223,15 +218,15 @@ impl WrittenCamera {
             source.refuse(&key("format"), format!("{:?}", self.format), allowed)
         })?;
         let pixels = |name: &str, side: i64| {
-            let allowed = format!("an even number of pixels from 2 to {PICTURE_SIDE_PX_MAX}");
+            let allowed = format!("an even number of pixels from 2 to {SIDE_PX_MAX}");
             match side % 2 {
-                0 => source.whole(&key(name), side, 2..=i64::from(PICTURE_SIDE_PX_MAX), &allowed),
+                0 => source.whole(&key(name), side, 2..=i64::from(SIDE_PX_MAX), &allowed),
                 _ => Err(source.refuse(&key(name), side, allowed)),
             }
         };
         let (width, height) = (pixels("width", self.width)?, pixels("height", self.height)?);
-        if !(self.rate_hz.is_finite() && self.rate_hz >= 0.1 && self.rate_hz <= RATE_HZ_MAX) {
-            let allowed = format!("frames a second from 0.1 to {RATE_HZ_MAX}");
+        if !RATE_HZ.contains(&self.rate_hz) {
+            let allowed = format!("frames a second from {} to {}", RATE_HZ.start(), RATE_HZ.end());
             return Err(source.refuse(&key("rate_hz"), self.rate_hz, allowed));
         }
         let matrix = match self.matrix.as_deref() {

@@ -34,7 +34,7 @@ use crate::{recognize, rig};
 
 pub use crate::vision::binarize::ColourRange;
 pub use crate::vision::thin::Algorithm as ThinMethod;
-pub use cameras::{Backend, CameraSettings, Cameras, ControlValue, PICTURE_SIDE_PX_MAX, Pace, RATE_HZ_MAX};
+pub use cameras::{Backend, CameraSettings, Cameras, ControlValue, Pace};
 pub use error::ConfigError;
 pub use firmware_bridge::realtime::Scheduling;
 pub use recognition::{Gate, Harmony, Recognition, SearchMethod};

@@ -4,15 +4,15 @@ use std::path::PathBuf;
 
 use serde::Deserialize;
 
-use super::cameras::PICTURE_SIDE_PX_MAX;
 use super::error::ConfigError;
 use super::source::Source;
+use crate::frame::SIDE_PX_MAX;
 use crate::matching::{gate, search};
 use crate::vision::binarize::ColourRange;
 use crate::vision::thin::Algorithm;
 
 /// No speck is larger than a picture.
-const SPECK_PX_MAX: i64 = (PICTURE_SIDE_PX_MAX as i64).pow(2);
+const SPECK_PX_MAX: i64 = (SIDE_PX_MAX as i64).pow(2);
 
 #[derive(Clone, Copy, Debug, Default, Deserialize)]
 #[serde(rename_all = "kebab-case")]

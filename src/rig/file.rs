@@ -9,6 +9,7 @@ use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaterni
 
 use super::yaml::{self, Entry, Matrix, Value};
 use super::{CameraModel, Rig, RigError};
+use crate::frame::SIDE_PX_MAX;
 
 /// RᵀR may differ from 1 by this: a rotation typed with four digits passes (1.7e-4), a scaled or sheared one not.
 const ROTATION_TOLERANCE: f64 = 2e-4;
@@ -22,9 +23,6 @@ const UNDONE_PX_MAX: f64 = 0.5;
 const TURNED_MAX: f64 = 4.0;
 /// So many of a file's keys are named where one is missing.
 const KEYS_SHOWN_MAX: usize = 12;
-/// Sides of a picture beyond this are refused.
-const SIDE_MAX_PX: usize = 8192;
-
 impl Rig {
     /// Reads a calibration: an OpenCV FileStorage YAML file with `image_width image_height M1 D1 M2 D2 R T` (T in
     /// mm; other keys are ignored), or a pair of ROS camera_info files (either file, or their folder). 0, 4, 5, 8,
@@ -36,45 +34,21 @@ impl Rig {
     /// # Errors
     /// [`RigError`]: names file, key, value and remedy.
     pub fn read(path: impl AsRef<Path>) -> Result<Rig, RigError> {
-        let path = path.as_ref();
-        if path.is_dir() {
-            return Self::read_folder(path);
+        match Source::find(path.as_ref())? {
+            Source::OpenCv(file) => file.opencv(),
+            Source::Ros(left, right) => ros(&File::read(&left)?, &File::read(&right)?),
         }
-        let file = File::read(path)?;
-        if file.has("M1") || !(file.has("camera_matrix") || file.has("K") || file.has("k")) {
-            return file.opencv();
-        }
-        let (left, right) = pair_of(path)?;
-        ros(&File::read(&left)?, &File::read(&right)?)
     }
 
-    fn read_folder(folder: &Path) -> Result<Rig, RigError> {
-        for ending in ["_camera_info.yaml", "_camera_info.yml", ".yaml", ".yml"] {
-            let (left, right) = (folder.join(format!("left{ending}")), folder.join(format!("right{ending}")));
-            match (left.is_file(), right.is_file()) {
-                (true, true) => return ros(&File::read(&left)?, &File::read(&right)?),
-                (false, false) => {}
-                (has_left, _) => {
-                    let wanted = if has_left { "right" } else { "left" };
-                    return Err(RigError::Pair { path: folder.to_owned(), wanted });
-                }
-            }
-        }
-        let opencv = folder.join("calibration.yaml");
-        if opencv.is_file() {
-            return File::read(&opencv)?.opencv();
-        }
-        let failed = |source| RigError::Read { path: folder.to_owned(), source };
-        let there = folder.read_dir().map_err(failed)?.filter_map(|entry| Some(entry.ok()?.path()));
-        let yaml = there.filter(|path| path.extension().is_some_and(|e| e == "yaml" || e == "yml"));
-        let mut pairs: Vec<_> = yaml.filter_map(|path| pair_of(&path).ok()).collect();
-        pairs.sort();
-        pairs.dedup();
-        match &pairs[..] {
-            [(left, right)] => ros(&File::read(left)?, &File::read(right)?),
-            [] => Err(RigError::Pair { path: folder.to_owned(), wanted: "left" }),
-            pairs => Err(RigError::Pairs { path: folder.to_owned(), count: pairs.len() }),
-        }
+    /// The files that [`Rig::read`] takes a calibration from: one of OpenCV, or the left and the right one of ROS.
+    ///
+    /// # Errors
+    /// There is none, or which ones is not clear.
+    pub fn files(path: impl AsRef<Path>) -> Result<Vec<PathBuf>, RigError> {
+        Ok(match Source::find(path.as_ref())? {
+            Source::OpenCv(file) => vec![file.path],
+            Source::Ros(left, right) => vec![left, right],
+        })
     }
 
     /// Writes the rig as OpenCV FileStorage YAML, whole or not at all. [`Rig::read`] gives the same numbers back, R
@@ -106,6 +80,54 @@ impl Rig {
         put_matrix(&mut text, "R", 3, 3, rotation.transpose().as_slice());
         put_matrix(&mut text, "T", 3, 1, self.right_from_left.translation.vector.as_slice());
         text
+    }
+}
+
+/// Where a calibration stands.
+enum Source {
+    OpenCv(File),
+    Ros(PathBuf, PathBuf),
+}
+
+impl Source {
+    fn find(path: &Path) -> Result<Self, RigError> {
+        if path.is_dir() {
+            return Self::in_folder(path);
+        }
+        let file = File::read(path)?;
+        if file.has("M1") || !(file.has("camera_matrix") || file.has("K") || file.has("k")) {
+            return Ok(Self::OpenCv(file));
+        }
+        pair_of(path).map(|(left, right)| Self::Ros(left, right))
+    }
+
+    fn in_folder(folder: &Path) -> Result<Self, RigError> {
+        for ending in ["_camera_info.yaml", "_camera_info.yml", ".yaml", ".yml"] {
+            let (left, right) = (folder.join(format!("left{ending}")), folder.join(format!("right{ending}")));
+            match (left.is_file(), right.is_file()) {
+                (true, true) => return Ok(Self::Ros(left, right)),
+                (false, false) => {}
+                (has_left, _) => {
+                    let wanted = if has_left { "right" } else { "left" };
+                    return Err(RigError::Pair { path: folder.to_owned(), wanted });
+                }
+            }
+        }
+        let opencv = folder.join("calibration.yaml");
+        if opencv.is_file() {
+            return Ok(Self::OpenCv(File::read(&opencv)?));
+        }
+        let failed = |source| RigError::Read { path: folder.to_owned(), source };
+        let there = folder.read_dir().map_err(failed)?.filter_map(|entry| Some(entry.ok()?.path()));
+        let yaml = there.filter(|path| path.extension().is_some_and(|e| e == "yaml" || e == "yml"));
+        let mut pairs: Vec<_> = yaml.filter_map(|path| pair_of(&path).ok()).collect();
+        pairs.sort();
+        pairs.dedup();
+        match pairs.len() {
+            1 => Ok(pairs.remove(0)).map(|(left, right)| Self::Ros(left, right)),
+            0 => Err(RigError::Pair { path: folder.to_owned(), wanted: "left" }),
+            count => Err(RigError::Pairs { path: folder.to_owned(), count }),
+        }
     }
 }
 
@@ -383,10 +405,12 @@ impl File {
             Some(text) => text,
             None => self.scalar(other_key)?.ok_or_else(|| self.missing(key, remedy))?,
         };
-        let side =
-            text.parse::<f64>().ok().filter(|s| s.fract() == 0.0 && (1.0..=SIDE_MAX_PX as f64).contains(s));
+        let side = text
+            .parse::<f64>()
+            .ok()
+            .filter(|s| s.fract() == 0.0 && (1.0..=f64::from(SIDE_PX_MAX)).contains(s));
         side.map(|s| s as usize).ok_or_else(|| {
-            self.value(key, text, &format!("must be a whole number of pixels from 1 to {SIDE_MAX_PX}"))
+            self.value(key, text, &format!("must be a whole number of pixels from 1 to {SIDE_PX_MAX}"))
         })
     }
 

@@ -27,10 +27,12 @@ pub struct Copied {
     pub messages: u64,
     /// Its size.
     pub bytes: u64,
-    /// Moments with pictures; of a rescue not counted.
-    pub moments: usize,
+    /// Pairs with both pictures; of a rescue not counted.
+    pub pairs: usize,
     /// The bytes of the old file at which something could not be read.
     pub lost_at: Vec<u64>,
+    /// Messages that were read, but of which nothing says what they are.
+    pub unknown: u64,
 }
 
 /// Why there is no copy.
@@ -55,7 +57,7 @@ pub enum CopyError {
     },
     /// No picture in the piece.
     #[error(
-        "{}: no pictures {}; there are pictures from 0 s to {last_s:.3} s", path.display(), piece_in_words(*from_s, *to_s)
+        "{}: no pair of pictures {}; there are pictures from 0 s to {last_s:.3} s", path.display(), piece_in_words(*from_s, *to_s)
     )]
     Nothing {
         /// The old file.
@@ -137,7 +139,9 @@ pub fn cut(from: &Path, seconds: (f64, f64), to: &Path) -> Result<Copied, CopyEr
     let after_s = |wall_ns: i64| wall_ns.saturating_sub(first_ns) as f64 / 1e9;
     let begin = moments.partition_point(|moment| after_s(moment.0) < from_s);
     let end = moments.partition_point(|moment| after_s(moment.0) <= to_s);
-    if begin >= end {
+    let pairs =
+        moments[begin.min(end)..end].iter().filter(|(_, sides)| sides.iter().all(Option::is_some)).count();
+    if pairs == 0 {
         let last_s = moments.last().map_or(0.0, |moment| after_s(moment.0));
         return Err(CopyError::Nothing { path: from.to_owned(), from_s, to_s, last_s });
     }
@@ -153,7 +157,7 @@ pub fn cut(from: &Path, seconds: (f64, f64), to: &Path) -> Result<Copied, CopyEr
         file.attachments(|record| copier.record(record, &|_, _| true))?;
         Ok(Vec::new())
     })?;
-    Ok(Copied { moments: end - begin, ..copied })
+    Ok(Copied { pairs, ..copied })
 }
 
 /// Copies all that can be read.
@@ -222,8 +226,14 @@ fn make(
     fill: impl FnOnce(&mut Copier<'_>) -> Result<Vec<u64>, CopyError>,
 ) -> Result<Copied, CopyError> {
     let copied = files::write_new(to, |file| {
-        let mut copier =
-            Copier { file, out: None, messages: 0, schemas: HashMap::new(), channels: HashMap::new() };
+        let mut copier = Copier {
+            file,
+            out: None,
+            messages: 0,
+            unknown: 0,
+            schemas: HashMap::new(),
+            channels: HashMap::new(),
+        };
         let lost_at = fill(&mut copier)?;
         copier.finish(lost_at)
     });
@@ -244,6 +254,8 @@ struct Copier<'a> {
     file: &'a File,
     out: Option<Out<'a>>,
     messages: u64,
+    /// Messages of no channel.
+    unknown: u64,
     /// By the numbers of the old file: name, encoding, content.
     schemas: HashMap<u16, (String, String, Vec<u8>)>,
     /// By the numbers of the old file: that of the new one, and which topic of ours it is.
@@ -280,7 +292,10 @@ impl<'a> Copier<'a> {
                 self.channels.insert(channel.id, (id, topic));
             }
             Record::Message { header, data } => {
-                let Some(&(channel_id, topic)) = self.channels.get(&header.channel_id) else { return Ok(()) };
+                let Some(&(channel_id, topic)) = self.channels.get(&header.channel_id) else {
+                    self.unknown += 1;
+                    return Ok(());
+                };
                 let logged_ns = i64::try_from(header.log_time).unwrap_or(i64::MAX);
                 if wanted(at, &Passing { logged_ns, topic, data: &data }) {
                     let header = mcap::records::MessageHeader { channel_id, ..header };
@@ -321,7 +336,7 @@ impl<'a> Copier<'a> {
     fn finish(mut self, lost_at: Vec<u64>) -> Result<Copied, CopyError> {
         self.out("")?.finish().map_err(refused)?;
         let bytes = self.file.metadata()?.len();
-        Ok(Copied { messages: self.messages, bytes, moments: 0, lost_at })
+        Ok(Copied { messages: self.messages, bytes, pairs: 0, lost_at, unknown: self.unknown })
     }
 }
 
@@ -407,7 +422,7 @@ mod tests {
         ] {
             let new = folder.path().join(format!("{}-{:e}.mcap", seconds.0, seconds.1));
             let copied = cut(&old, seconds, &new).unwrap();
-            assert_eq!((copied.moments, copied.messages), (pairs.len(), messages), "{seconds:?}");
+            assert_eq!((copied.pairs, copied.messages), (pairs.len(), messages), "{seconds:?}");
             assert_eq!(copied.bytes, std::fs::metadata(&new).unwrap().len());
             assert_eq!(content(&new), (pairs.clone().collect(), pairs.len() as u64, 1), "{seconds:?}");
         }
@@ -435,13 +450,23 @@ mod tests {
         let copied = recover(&new("damaged.mcap"), &new("b.mcap")).unwrap();
         assert_eq!((copied.messages, copied.lost_at), (28, vec![at as u64]));
         assert_eq!(content(&new("b.mcap")), (vec![0, 1, 2, 3, 5, 6, 7, 8, 9], 9, 1));
+        // Whichever it is, also the one that the channels stood in, what the others hold is still there.
+        for (nth, at) in chunks.iter().enumerate() {
+            let mut damaged = whole.clone();
+            damaged[at + 80] ^= 0xff;
+            let (old, rest) = (new("one.mcap"), new(&format!("rest-{nth}.mcap")));
+            std::fs::write(&old, &damaged).unwrap();
+            let copied = recover(&old, &rest).unwrap();
+            assert_eq!((copied.lost_at, copied.unknown), (vec![*at as u64], 0));
+            assert!(content(&rest).0.len() >= 9, "chunk {nth}");
+        }
         damaged.truncate(chunks[chunks.len() - 2] + 20);
         std::fs::write(new("torn.mcap"), &damaged).unwrap();
         let copied = recover(&new("torn.mcap"), &new("c.mcap")).unwrap();
         assert_eq!(copied.lost_at.len(), 2);
         assert_eq!(content(&new("c.mcap")).0, [0, 1, 2, 3, 5, 6, 7]);
         let cut_too = cut(&new("c.mcap"), (0.3, 0.6), &new("d.mcap")).unwrap();
-        assert_eq!(cut_too.moments, 3);
+        assert_eq!(cut_too.pairs, 3);
     }
 
     #[test]
@@ -456,7 +481,7 @@ mod tests {
         );
         assert!(
             message(&old, (5.0, 6.0), &new)
-                .ends_with("no pictures from 5.0 s to 6.0 s; there are pictures from 0 s to 0.900 s")
+                .ends_with("no pair of pictures from 5.0 s to 6.0 s; there are pictures from 0 s to 0.900 s")
         );
         assert!(
             message(folder.path(), (0.0, 1.0), &new)

@@ -8,6 +8,7 @@ use serde::Deserialize;
 
 use super::{RecordedPair, RecordedPicture, Results, Session};
 use crate::camera::Side;
+use crate::frame::RATE_HZ;
 
 /// What is wrong with a session folder.
 #[derive(Debug, thiserror::Error)]
@@ -71,8 +72,9 @@ pub(super) fn open(folder: &Path) -> Result<Session, FolderError> {
         .map_err(|reason| FolderError::NoSettings { path: path.clone(), reason })?;
     let bad = |error| FolderError::BadSettings { path: path.clone(), error };
     let Settings { rate_hz } = read_toml(&text).map_err(bad)?;
-    if !(rate_hz.is_finite() && rate_hz > 0.0 && rate_hz <= 1000.0) {
-        let fault = Fault::value("rate_hz", rate_hz, "frames a second above 0, up to 1000");
+    if !RATE_HZ.contains(&rate_hz) {
+        let allowed = format!("frames a second from {} to {}", RATE_HZ.start(), RATE_HZ.end());
+        let fault = Fault::value("rate_hz", rate_hz, &allowed);
         return Err(bad(TextError::of(&text, fault)));
     }
     let mut names: BTreeMap<String, [Option<PathBuf>; 2]> = BTreeMap::new();
@@ -101,14 +103,19 @@ pub(super) fn open(folder: &Path) -> Result<Session, FolderError> {
     })
 }
 
+/// Whether a file is one of a picture, by its name.
+pub fn is_picture(path: &Path) -> bool {
+    let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    matches!(&*ending, "png" | "jpg" | "jpeg")
+}
+
 /// Name without ending → file, of every picture in `folder`.
 fn pictures_in(folder: &Path) -> Result<BTreeMap<String, PathBuf>, FolderError> {
     let no_folder = |reason| FolderError::NoFolder { path: folder.to_owned(), reason };
     let mut pictures = BTreeMap::new();
     for entry in std::fs::read_dir(folder).map_err(no_folder)? {
         let path = entry.map_err(no_folder)?.path();
-        let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
-        let (true, Some(stem)) = (matches!(&*ending, "png" | "jpg" | "jpeg"), path.file_stem()) else {
+        let (true, Some(stem)) = (is_picture(&path), path.file_stem()) else {
             continue;
         };
         let name = stem.to_string_lossy().into_owned();
@@ -162,10 +169,7 @@ mod tests {
         let empty = tempfile::tempdir().unwrap();
         assert!(message(empty.path()).contains("session.toml: cannot read it"));
         for (text, wanted) in [
-            (
-                "rate_hz = 0",
-                "line 1: rate_hz = 0 is not possible; allowed: frames a second above 0, up to 1000",
-            ),
+            ("rate_hz = 0", "line 1: rate_hz = 0 is not possible; allowed: frames a second from 0.1 to 1000"),
             ("rate_hz = \"x\"", "line 1: rate_hz = \"x\" is not possible; allowed: a number"),
             ("\nrate = 3", "line 2: rate: there is no such key; allowed here: rate_hz"),
             ("", "rate_hz is missing; add it: it has no default"),
@@ -176,6 +180,8 @@ mod tests {
             assert!(message.contains("session.toml") && message.ends_with(&wanted), "{message}");
         }
         assert!(message(folder("rate_hz = 3", &[]).path()).contains("left: there is no png or jpg in it"));
+        let lone = folder("rate_hz = 3", &["left/a.png", "right/b.png"]);
+        assert!(Session::open(lone.path()).unwrap_err().to_string().contains("no pair in it"));
         let twice = folder("rate_hz = 3", &["left/a.png", "left/a.jpg", "right/a.png"]);
         assert!(message(twice.path()).contains("two pictures of one name"));
     }

@@ -22,7 +22,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-pub use folder::FolderError;
+pub use folder::{FolderError, is_picture};
 pub use picture::{PictureError, read_picture, read_raw_picture};
 pub use records::{Damage, MessageAt, MessageError, RecordingError, RecordingFile};
 pub use writer::{About, PAIR_WINDOW, RecordingWriter, WriteError};
@@ -45,6 +45,14 @@ pub enum SessionError {
     /// A picture that cannot be used.
     #[error(transparent)]
     Picture(#[from] PictureError),
+    /// Only lone pictures.
+    #[error(
+        "{}: no pair in it: to no picture of the left camera there is one of the right; in a folder a pair is two pictures of one name", path.display()
+    )]
+    NoPair {
+        /// The session.
+        path: PathBuf,
+    },
 }
 
 /// A picture of a session, where it lies.
@@ -141,9 +149,14 @@ pub struct RecordedSearch {
 }
 
 impl RecordedPair {
-    /// Whether a session that is played pair by pair has it: both pictures, and a cell that had time for it.
+    /// Whether it has both pictures.
     pub fn is_whole(&self) -> bool {
-        self.fate != Some(Fate::LeftOut) && self.pictures.iter().all(Option::is_some)
+        self.pictures.iter().all(Option::is_some)
+    }
+
+    /// Whether a session that is played pair by pair has it: both pictures, and a cell that had time for it.
+    pub fn is_stepped(&self) -> bool {
+        self.is_whole() && self.fate != Some(Fate::LeftOut)
     }
 }
 
@@ -210,10 +223,16 @@ impl Session {
     /// # Errors
     /// The first thing that is wrong with it.
     pub fn open(path: &Path) -> Result<Self, SessionError> {
-        if path.is_file() {
-            return Ok(recording::open(path)?);
+        let session = if path.is_file() { recording::open(path)? } else { folder::open(path)? };
+        match session.whole_pairs() {
+            0 => Err(SessionError::NoPair { path: path.to_owned() }),
+            _ => Ok(session),
         }
-        Ok(folder::open(path)?)
+    }
+
+    /// How many pairs have both pictures.
+    pub fn whole_pairs(&self) -> usize {
+        self.pairs.iter().filter(|pair| pair.is_whole()).count()
     }
 
     /// Time from one pair to the next; at most a day.
@@ -227,7 +246,7 @@ impl Session {
             format!(
                 "{}: its end is missing: it breaks off at byte {byte}; what stands before is used ({} pairs)",
                 self.path.display(),
-                self.pairs.len()
+                self.whole_pairs()
             )
         })
     }

@@ -11,11 +11,8 @@ use prost::Message;
 
 use super::foxglove::{CompressedImage, ImageKind, RawImage, format_of};
 use super::records::RecordingError;
-use crate::frame::{ColourEncoding, Frame, PixelFormat};
+use crate::frame::{ColourEncoding, Frame, PixelFormat, SIDE_PX_MAX};
 use crate::vision::decode::on_one_line;
-
-/// Largest width or height of a picture, pixels.
-const SIDE_PX_MAX: u32 = 8192;
 
 /// A picture that cannot be used.
 #[derive(Debug, thiserror::Error)]

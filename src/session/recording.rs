@@ -15,15 +15,11 @@ use super::records::{MessageAt, MessageError, RecordAt, RecordingError, Recordin
 use super::writer::{METADATA, PAIR_WINDOW};
 use super::{Fate, RecordedPair, RecordedPicture, RecordedSearch, Results, Session};
 use crate::camera::Side;
-use crate::frame::{ColourEncoding, TimestampMark};
+use crate::frame::{ColourEncoding, RATE_HZ, TimestampMark};
 use crate::time::Spent;
 
 /// Pairs a second, where a recording has one pair only.
-const RATE_HZ: f64 = 30.0;
-/// Fastest rate of a session, pairs a second.
-const RATE_HZ_MAX: f64 = 1000.0;
-/// Slowest rate: [`PAUSE_NS_MAX`] as a rate.
-const RATE_HZ_MIN: f64 = 0.1;
+const LONE_RATE_HZ: f64 = 30.0;
 
 /// Longest pause between two pairs that is kept, ns: nobody waits for what a stopped clock or a foreign file says.
 const PAUSE_NS_MAX: i64 = 10_000_000_000;
@@ -93,7 +89,8 @@ fn index(file: &RecordingFile) -> Result<(Index, Vec<Moment>, f64, Option<u64>),
         side.sort_by_key(|seen| seen.wall_ns);
     }
     let period_ns = middle_period_ns(left);
-    let seen_hz = period_ns.map_or(RATE_HZ, |ns| (1e9 / ns as f64).clamp(RATE_HZ_MIN, RATE_HZ_MAX));
+    let seen_hz =
+        period_ns.map_or(LONE_RATE_HZ, |ns| (1e9 / ns as f64).clamp(*RATE_HZ.start(), *RATE_HZ.end()));
     let pairs = pair_up(left, right, index.window_ns.unwrap_or(period_ns.unwrap_or(i64::MAX) / 2));
     // The pictures of a pair for which the recogniser had no time stand alone in the file.
     let there: HashSet<i64> = left.iter().map(|seen| seen.wall_ns).collect();
@@ -120,10 +117,12 @@ pub(super) fn open(path: &Path) -> Result<Session, RecordingError> {
     };
     let known = |pictures: &[Option<Seen>; 2]| pictures[0].and_then(|left| index.known.get(&left.wall_ns));
     let arm_lead_ns = arm_lead_ns(&index.arm, &pairs);
+    // No name that another one has.
+    let unnamed = if index.names.is_empty() { "" } else { "-unnamed" };
     let mut pair = |(i, (wall_ns, pictures)): (usize, Moment)| RecordedPair {
         name: pictures[0]
             .and_then(|left| index.names.get(&left.wall_ns).cloned())
-            .unwrap_or_else(|| format!("{:06}", i + 1)),
+            .unwrap_or_else(|| format!("{:06}{unnamed}", i + 1)),
         after_ns: after_ns(wall_ns),
         pictures: pictures.map(|seen| seen.map(picture)),
         marks: known(&pictures).map_or_else(Default::default, |known| known.0),
@@ -194,7 +193,7 @@ impl Index {
             }
             Record::Metadata(about) if about.name == METADATA => {
                 let rate_hz = about.metadata.get("rate_hz").and_then(|text| text.parse().ok());
-                self.rate_hz = rate_hz.filter(|hz: &f64| (RATE_HZ_MIN..=RATE_HZ_MAX).contains(hz));
+                self.rate_hz = rate_hz.filter(|hz: &f64| RATE_HZ.contains(hz));
                 let window_ms = about.metadata.get(PAIR_WINDOW).and_then(|text| text.parse().ok());
                 let window_ms = window_ms.filter(|ms: &f64| (0.0..=1e6).contains(ms));
                 self.window_ns = window_ms.map(|ms| (ms * 1e6) as i64);

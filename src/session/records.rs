@@ -22,6 +22,8 @@ const LZ4_GROWTH_MAX: u64 = 256;
 const ZSTD_GROWTH_MAX: u64 = 1 << 15;
 /// Opcode and length in front of every record.
 const HEAD_BYTES: u64 = 9;
+/// Content of the last record, which says where the summary begins.
+const FOOTER_BYTES: u64 = 20;
 
 /// What is wrong with a recording.
 #[derive(Debug, thiserror::Error)]
@@ -158,11 +160,12 @@ impl RecordingFile {
     /// It cannot be read, is empty, or no MCAP file.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let unreadable = |reason| RecordingError::Unreadable { path: path.to_owned(), reason };
-        let file = File::open(path).map_err(unreadable)?;
-        let about = file.metadata().map_err(unreadable)?;
+        // To open a pipe is to wait for who writes into it.
+        let about = std::fs::metadata(path).map_err(unreadable)?;
         if !about.is_file() {
             return Err(RecordingError::Foreign { path: path.to_owned() });
         }
+        let file = File::open(path).map_err(unreadable)?;
         let file = Self { path: path.to_owned(), file, bytes: about.len(), last: Mutex::default() };
         if file.bytes == 0 {
             return Err(RecordingError::Empty { path: file.path });
@@ -228,8 +231,9 @@ impl RecordingFile {
         Ok(())
     }
 
-    /// Shows every record that can be read, attachments too, wherever the file is damaged. Gives the bytes at which
-    /// something is lost; the last of them, and all behind it, where the file breaks off.
+    /// Shows every record that can be read, attachments too, wherever the file is damaged; schemas and channels behind the
+    /// first record as well, from the end of the file, for what is damaged may be what they stood in. Gives the bytes at
+    /// which something is lost; the last of them, and all behind it, where the file breaks off.
     ///
     /// # Errors
     /// The file cannot be read, or the first error of `each`.
@@ -259,8 +263,40 @@ impl RecordingFile {
                     }
                 }
             }
+            if at == MAGIC.len() as u64 {
+                self.channels_at_end(&mut each)?;
+            }
             at += HEAD_BYTES + body_bytes;
         }
+    }
+
+    /// Shows the schemas and channels that stand a second time behind the data, as far as they can be read.
+    fn channels_at_end<E: From<RecordingError>>(
+        &self,
+        each: &mut impl FnMut(RecordAt<'_>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let mut record = Vec::new();
+        let end = self.bytes.checked_sub(HEAD_BYTES + FOOTER_BYTES + MAGIC.len() as u64);
+        let footer = match end.filter(|_| self.has_end().unwrap_or(false)) {
+            Some(at) => self.head(at)?.filter(|head| *head == (op::FOOTER, FOOTER_BYTES)).map(|_| at),
+            None => None,
+        };
+        let Some(footer) = footer else { return Ok(()) };
+        let mut begin = [0; 8];
+        self.read(&mut begin, footer + HEAD_BYTES)?;
+        let mut at = u64::from_le_bytes(begin);
+        while (MAGIC.len() as u64..footer).contains(&at) {
+            let Some((opcode, body_bytes)) = self.head(at)? else { break };
+            if matches!(opcode, op::SCHEMA | op::CHANNEL) {
+                self.load(at, body_bytes, &mut record)?;
+                match self.unpack(at, &record, each) {
+                    Err(RecordingError::Damaged { .. }) => {}
+                    shown => shown??,
+                }
+            }
+            at += HEAD_BYTES + body_bytes;
+        }
+        Ok(())
     }
 
     /// The content of one message.

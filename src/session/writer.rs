@@ -53,6 +53,13 @@ pub enum WriteError {
     },
 }
 
+impl WriteError {
+    /// Whether a file of this name is there already.
+    pub fn is_taken(&self) -> bool {
+        matches!(self, Self::Create { path, reason } if reason.kind() == std::io::ErrorKind::AlreadyExists && path.is_file())
+    }
+}
+
 fn in_words(reason: &McapError) -> String {
     match reason {
         McapError::Io(io) => io.to_string(),

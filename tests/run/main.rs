@@ -341,29 +341,44 @@ fn disturbed(changes: &[(&str, &str)], then: impl Fn(Pid)) -> (i32, String, Stri
     (output.status.code().unwrap_or(-1), text, stderr(&output))
 }
 
-#[test]
-fn a_reader_that_stands_still_holds_up_nothing() {
-    let cell = Cell::new(&[]);
-    // Nobody reads, and there is no room any more.
-    let (reader, mut writer) = std::io::pipe().unwrap();
+/// Runs a cell whose results nobody reads, for which there is no room any more; gives its exit code.
+fn unread(cell: &Cell, then: impl Fn(Pid)) -> Option<i32> {
+    let (_reader, mut writer) = std::io::pipe().unwrap();
     while has_room(&writer, Duration::ZERO) {
         writer.write_all(&[b'x'; 4096]).unwrap();
     }
     let mut run = cell.command(&["--overlay", "none", "--iterations", "2000"]);
     let mut child = run.stdout(writer.try_clone().unwrap()).stderr(writer).spawn().unwrap();
     let until = Instant::now() + Duration::from_secs(60);
-    let status = loop {
+    loop {
+        then(Pid::from_child(&child));
         match child.try_wait().unwrap() {
-            Some(status) => break status,
+            Some(status) => break status.code(),
             None if Instant::now() > until => {
                 child.kill().unwrap();
                 panic!("it waits for its reader");
             }
             None => std::thread::sleep(Duration::from_millis(20)),
         }
+    }
+}
+
+#[test]
+fn a_session_that_waits_for_its_reader_ends_when_it_is_told_to() {
+    let begun = Instant::now();
+    let told = |pid| {
+        if begun.elapsed() > Duration::from_secs(1) {
+            kill_process(pid, Signal::TERM).unwrap();
+        }
     };
-    drop(reader);
-    assert_eq!(status.code(), Some(0));
+    assert_eq!(unread(&Cell::fast(&[]), told), Some(0));
+    assert!(begun.elapsed() > Duration::from_secs(1), "it waited");
+}
+
+#[test]
+fn a_reader_that_stands_still_holds_up_nothing() {
+    let cell = Cell::new(&[]);
+    assert_eq!(unread(&cell, |_| {}), Some(0));
     let record = fs::read_to_string(cell.path("out/place.state")).unwrap();
     assert!(!record.contains("next_slot = 0"), "a target was sent: {record}");
 }
@@ -405,6 +420,11 @@ fn a_short_soak_keeps_its_deadlines_and_its_memory() {
     let output = slow.run(&["--soak", "5", "--iterations", "1000000"]);
     assert_eq!(output.status.code(), Some(1));
     assert!(stderr(&output).contains(" of 5 deadlines missed"), "{}", stderr(&output));
+    // Nor is it well because nobody reads on.
+    let (reader, unread) = std::io::pipe().unwrap();
+    drop(reader);
+    let mut run = slow.command(&["--soak", "5", "--iterations", "1000000"]);
+    assert_eq!(run.stdout(unread).stderr(Stdio::null()).status().unwrap().code(), Some(1));
 }
 
 #[test]

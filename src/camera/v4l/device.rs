@@ -291,7 +291,7 @@ impl Device {
         let interval = if rate_hz.fract() == 0.0 {
             Fraction::new(1, rate_hz as u32)
         } else {
-            Fraction::new(10_000_000, (rate_hz * 1e7).round() as u32)
+            Fraction::new(1_000_000, (rate_hz * 1e6).round() as u32)
         };
         let now = match asked(|| self.node.set_params(&Parameters::new(interval))) {
             Err(error) if error.raw_os_error() == Some(libc::ENOTTY) => return Ok(None),

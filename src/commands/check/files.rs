@@ -108,7 +108,9 @@ fn calibration(cell: &Cell, findings: &mut Findings) -> Option<Rig> {
     }
     let cameras = [("left", &cell.cameras.left), ("right", &cell.cameras.right)];
     for (side, camera) in cameras {
-        let Some(camera) = camera else { continue };
+        let Some(camera) = camera.as_ref().filter(|_| cell.cameras.backend == Backend::V4l2) else {
+            continue;
+        };
         let calibrated = if side == "left" { &rig.left } else { &rig.right };
         if let Err(error) = calibrated.check_size(side, camera.width as usize, camera.height as usize) {
             findings.wrong(&format!("calibration for the {side} camera"), error.to_string());
@@ -133,7 +135,7 @@ fn session(cell: &Cell, rig: Option<&Rig>, findings: &mut Findings) {
         findings.warning("session", note, "record it again where the rest of it matters");
     }
     let about =
-        format!("{}: {} pairs at {:.4} a second", path.display(), session.pairs.len(), session.rate_hz);
+        format!("{}: {} pairs at {:.4} a second", path.display(), session.whole_pairs(), session.rate_hz);
     let pictures = session.pairs.iter().flat_map(|pair| pair.pictures.iter().flatten());
     let (mut size, mut damaged, mut other_size) = (None, 0, None);
     for picture in pictures.take(PICTURES_MAX) {

@@ -22,6 +22,7 @@ use crate::cell::core::{Note, PairReport, TargetEnd};
 use crate::cell::desk::{ColdSeat, Desk, File, Letter, Paper};
 use crate::cell::notify;
 use crate::cell::realtime::resident_bytes;
+use crate::cell::threads::Controls;
 use crate::config::{Backend, Cell, Pace};
 use crate::frame::Frame;
 use crate::part::Part;
@@ -34,6 +35,8 @@ const STATUS_NS: i64 = 2_000_000_000;
 const CHANGED_STATUS_NS: i64 = 200_000_000;
 /// How long the table at the end waits for somebody to take it.
 const LAST_WORDS: Duration = Duration::from_secs(2);
+/// How often one that waits for a reader looks whether it is to end.
+const ROOM_PAUSE: Duration = Duration::from_millis(100);
 
 /// Everything that the cold thread has to do with.
 pub(super) struct Cold {
@@ -67,6 +70,7 @@ pub(super) struct Cold {
     failed: Option<RunError>,
     /// Why no more overlay pictures are drawn.
     undrawn: Option<RunError>,
+    controls: Arc<Controls>,
     /// A session on its own time leaves no line out.
     waits_for_readers: bool,
 }
@@ -75,7 +79,7 @@ impl Cold {
     pub(super) fn new(
         args: &RunArgs,
         cell: &Cell,
-        (desk, seat): (Arc<Desk>, ColdSeat),
+        (desk, controls, seat): (Arc<Desk>, Arc<Controls>, ColdSeat),
         rig: &Rig,
         parts: Vec<Part>,
         names: Vec<String>,
@@ -118,6 +122,7 @@ impl Cold {
             status: (String::new(), Timestamp::default()),
             failed: None,
             undrawn: None,
+            controls,
             waits_for_readers: fast,
             desk,
             seat,
@@ -359,9 +364,15 @@ impl Cold {
     }
 
     /// Prints a line of the results; the first failure is kept for the end. A running cell leaves out lines that
-    /// nobody takes (a paused terminal, a reader that stands still): they must not hold up the place records.
+    /// nobody takes (a paused terminal, a reader that stands still): they must not hold up the place records. One on its own
+    /// time waits for readers until it is to end.
     fn print(&mut self, line: &str, within: Duration) {
-        if !self.waits_for_readers && !has_room(io::stdout(), within) {
+        let waits_on = || self.waits_for_readers && !self.controls.is_stopped();
+        let mut has_room_now = has_room(io::stdout(), within);
+        while !has_room_now && waits_on() {
+            has_room_now = has_room(io::stdout(), ROOM_PAUSE);
+        }
+        if !has_room_now {
             self.desk.telemetry.add_unshown();
         } else if self.failed.is_none() {
             let result = self.bar.suspend(|| writeln!(io::stdout().lock(), "{line}"));
@@ -375,8 +386,8 @@ impl Cold {
         }
     }
 
-    /// The table, and what went wrong, if anything did.
-    pub(super) fn finish(mut self, resident_bytes: u64) -> Result<(), RunError> {
+    /// The table, and what went wrong, if anything did; that nobody reads the results any more, only where nothing else did.
+    pub(super) fn finish(mut self) -> Result<(), RunError> {
         self.bar.finish_and_clear();
         self.unwritten_max = 0;
         self.record_log();
@@ -392,19 +403,23 @@ impl Cold {
                 summary::json(telemetry, &found, self.slow, &self.calibration, recorded.as_ref()).to_string()
             }
         };
-        let verdict = self.endurance.take().map_or(Ok(String::new()), |endurance| {
-            endurance.verdict(telemetry, resident_bytes).map(|line| line + "\n")
-        });
+        let verdict = self
+            .endurance
+            .take()
+            .map_or(Ok(String::new()), |endurance| endurance.verdict(telemetry).map(|line| line + "\n"));
         self.print(&table, LAST_WORDS);
         if let (Ok(line), Format::Text) = (&verdict, self.format)
             && !line.is_empty()
         {
             self.print(line.trim_end(), LAST_WORDS);
         }
-        match self.failed.take().or(self.undrawn.take()).or(drawn.err()) {
-            Some(failed) => Err(failed),
-            None => verdict.map(drop).map_err(RunError::Soak),
-        }
+        let (closed, failed) = match self.failed.take() {
+            Some(failed) if failed.is_closed_pipe() => (Some(failed), None),
+            failed => (None, failed),
+        };
+        let soaked = verdict.map_err(RunError::Soak);
+        let failed = failed.or(self.undrawn.take()).or(drawn.err()).or(soaked.err()).or(closed);
+        failed.map_or(Ok(()), Err)
     }
 }
 

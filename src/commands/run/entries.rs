@@ -1,12 +1,12 @@
 //! What stands in the recording of a run: made of what the cell, its core and its recogniser say.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use crate::cell::core::{Event, Note, PairReport, TargetEnd};
 use crate::cell::desk::{File, Said};
 use crate::config::Cell;
+use crate::rig::Rig;
 use crate::session::events::{
     CandidateRecord, CommandRecord, EventRecord, Level, PairRecord, ReportRecord, Topic,
 };
@@ -15,10 +15,16 @@ use crate::time::{Spent, Timestamp, wall_from_cell_ns};
 
 /// What stands in front of it.
 pub(super) fn about(cell: &Cell, period: Duration) -> About {
-    let mut files: Vec<PathBuf> = vec![cell.rig.calibration.clone()];
-    files.extend(cell.recognition.parts.iter().cloned());
-    let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let read = |path: &PathBuf| std::fs::read(path).ok().map(|content| (name(path), content));
+    let mut paths = Rig::files(&cell.rig.calibration).unwrap_or_default();
+    paths.extend(cell.recognition.parts.iter().cloned());
+    let mut files = vec![("cell.toml".to_owned(), cell.text.clone().into_bytes())];
+    for path in paths {
+        let Ok(content) = std::fs::read(&path) else { continue };
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        // Two may have one name, in two folders.
+        let is_taken = files.iter().any(|(taken, _)| *taken == name);
+        files.push((if is_taken { path.display().to_string() } else { name }, content));
+    }
     let rate_hz = 1.0 / period.as_secs_f64().max(1e-9);
     let metadata = [
         ("version", env!("CARGO_PKG_VERSION").to_owned()),
@@ -32,10 +38,7 @@ pub(super) fn about(cell: &Cell, period: Duration) -> About {
             .map(|(key, value)| (key.to_owned(), value))
             .into_iter()
             .collect::<BTreeMap<_, _>>(),
-        files: [("cell.toml".to_owned(), cell.text.clone().into_bytes())]
-            .into_iter()
-            .chain(files.iter().filter_map(read))
-            .collect(),
+        files,
     }
 }
 

@@ -24,7 +24,7 @@ use crate::cell::core::Ending;
 use crate::cell::desk::Seats;
 use crate::cell::fast::Fast;
 use crate::cell::notify;
-use crate::cell::realtime::{Granted, lock_memory, resident_bytes};
+use crate::cell::realtime::{Granted, lock_memory};
 use crate::cell::threads::{self, Controls, Live, Signalled};
 use crate::time::Timestamp;
 
@@ -57,7 +57,8 @@ pub fn run(args: &RunArgs) -> Result<(), RunError> {
     signalled.cell_stands(&controls);
     let in_base = cell.rig.base_from_left.is_some();
     let Seats { grabs, recognise, cold, hub } = seats;
-    let mut cold = Cold::new(args, &cell, (Arc::clone(&desk), cold), &rig, parts, names, period)?;
+    let mut cold =
+        Cold::new(args, &cell, (Arc::clone(&desk), Arc::clone(&controls), cold), &rig, parts, names, period)?;
     notify::ready();
     let ending = if fast {
         let sides: Vec<_> = steps.into_iter().flatten().collect();
@@ -89,10 +90,10 @@ pub fn run(args: &RunArgs) -> Result<(), RunError> {
         threads::run(live, told, move || cold.work()).map_err(RunError::System)?
     };
     notify::stopping();
-    cold.finish(resident_bytes())?;
-    match ending {
-        Ending::Done => Ok(()),
-        Ending::WrongArm => Err(RunError::WrongArm),
+    match (cold.finish(), ending) {
+        (Err(failed), Ending::WrongArm) if !failed.is_closed_pipe() => Err(failed),
+        (_, Ending::WrongArm) => Err(RunError::WrongArm),
+        (finished, Ending::Done) => finished,
     }
 }
 

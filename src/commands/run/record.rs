@@ -226,6 +226,8 @@ struct Book {
     files: Vec<PathBuf>,
     finished_bytes: u64,
     tally: Tally,
+    /// Pairs that were written with their pictures; they count when they are in the file.
+    pairs: u64,
     flushed: Timestamp,
     synced: Timestamp,
 }
@@ -241,6 +243,7 @@ impl Book {
             files: Vec::new(),
             finished_bytes: 0,
             tally: Tally::default(),
+            pairs: 0,
             flushed: now,
             synced: now,
         };
@@ -250,9 +253,16 @@ impl Book {
 
     /// Begins a file named after the time, and lets go of those that are too many.
     fn next_file(&mut self) -> Result<(), WriteError> {
-        let wall_ns = Timestamp::now().0.saturating_add(self.about.wall_from_cell_ns);
-        let path = self.settings.folder.join(format!("{}.mcap", utc_name(wall_ns)));
-        self.writer = Some(RecordingWriter::create(&path, &self.about)?);
+        let mut wall_ns = Timestamp::now().0.saturating_add(self.about.wall_from_cell_ns);
+        let (path, writer) = loop {
+            let path = self.settings.folder.join(format!("{}.mcap", utc_name(wall_ns)));
+            match RecordingWriter::create(&path, &self.about) {
+                // Another cell has begun one in the same millisecond.
+                Err(error) if error.is_taken() => wall_ns = wall_ns.saturating_add(1_000_000),
+                made => break (path, made?),
+            }
+        };
+        self.writer = Some(writer);
         tracing::info!(file = %path.display(), "recording");
         self.tally.path.clone_from(&path);
         self.files.push(path);
@@ -330,7 +340,7 @@ impl Book {
                 writer.frame(Side::Left, &mut file.pair.left)?;
                 writer.frame(Side::Right, &mut file.pair.right)?;
                 record.pictures = true;
-                self.tally.pairs += 1;
+                self.pairs += 1;
             }
         }
         record.stamps_ns = record.stamps_ns.map(|ns| writer.wall_ns(Timestamp(ns)));
@@ -351,7 +361,10 @@ impl Book {
         }
         match size {
             Ok(bytes) if bytes >= self.settings.file_bytes_max => self.full(),
-            Ok(bytes) => self.tally.bytes = self.finished_bytes + bytes,
+            Ok(bytes) => {
+                self.tally.pairs = self.pairs;
+                self.tally.bytes = self.finished_bytes + bytes;
+            }
             Err(error) => self.give_up_on(Err(error)),
         }
     }
@@ -377,6 +390,7 @@ impl Book {
             Ok(bytes) => {
                 self.finished_bytes += bytes;
                 self.tally.bytes = self.finished_bytes;
+                self.tally.pairs = self.pairs;
             }
             Err(error) => tracing::error!("{error}"),
         }

@@ -215,7 +215,7 @@ fn replayed(args: &RunArgs, folder: &Path, fast: bool) -> Result<Eyes, RunError>
     let timed = if args.soak.is_some() { Pace::Every(period) } else { Pace::AsRecorded };
     let pace = steps.clone().map_or(timed, Pace::Stepped);
     let played: Vec<&RecordedPair> =
-        session.pairs.iter().filter(|pair| !stepped || pair.is_whole()).collect();
+        session.pairs.iter().filter(|pair| !stepped || pair.is_stepped()).collect();
     let names: Vec<_> = played.iter().map(|pair| pair.name.clone()).collect();
     let as_recorded = args.soak.is_none() && args.iterations.is_none() && args.seed.is_none();
     let repeated: Vec<_> = played.iter().map(|pair| as_recorded.then(|| repeated(pair)).flatten()).collect();

@@ -1,5 +1,6 @@
 //! `pickcell session info`: what is in a recorded session.
 
+use crate::camera::replay::is_only_of;
 use std::fmt::Write;
 use std::path::Path;
 
@@ -52,12 +53,18 @@ impl Info {
         let lone = Side::BOTH.map(lone);
         let mut formats = [None, None];
         for (side, format) in formats.iter_mut().enumerate() {
-            let first = session.pairs.iter().find_map(|pair| pair.pictures[side].as_ref());
-            *format = first.map(|picture| picture.read()).transpose()?.map(|frame| format_of(&frame));
+            for picture in session.pairs.iter().filter_map(|pair| pair.pictures[side].as_ref()) {
+                match picture.read() {
+                    // It came damaged from its camera.
+                    Err(error) if is_only_of(picture, &error) => continue,
+                    read => *format = Some(format_of(&read?)),
+                }
+                break;
+            }
         }
         let last_ns = session.pairs.last().map_or(0, |pair| pair.after_ns);
         Ok(Self {
-            whole: session.pairs.len() - lone[0] - lone[1],
+            whole: session.whole_pairs(),
             lone,
             duration_s: last_ns as f64 / 1e9,
             formats,

@@ -136,20 +136,24 @@ pub fn run(args: &SessionArgs) -> Result<String, SessionCommandError> {
 }
 
 fn told(out: &Path, copied: &Copied, format: Format) -> String {
-    let Copied { messages, bytes, moments, lost_at } = copied;
+    let Copied { messages, bytes, pairs, lost_at, unknown } = copied;
     if format == Format::Json {
-        let moments = (*moments > 0).then_some(moments);
+        let pairs = (*pairs > 0).then_some(pairs);
         let about = json!({
-            "session": out, "messages": messages, "bytes": bytes, "pairs": moments, "lost_at_bytes": lost_at,
+            "session": out, "messages": messages, "bytes": bytes, "pairs": pairs, "lost_at_bytes": lost_at,
+            "unknown_messages": unknown,
         });
         return about.to_string() + "\n";
     }
-    let pairs = if *moments > 0 { format!("{moments} pairs, ") } else { String::new() };
+    let pairs = if *pairs > 0 { format!("{pairs} pairs, ") } else { String::new() };
     let megabytes = *bytes as f64 / 1e6;
     let mut text = format!("{}: {pairs}{messages} messages, {megabytes:.1} MB\n", out.display());
     if let (Some(first), n) = (lost_at.first(), lost_at.len()) {
         let places = if n == 1 { String::new() } else { format!(" and at {} places behind it", n - 1) };
         text += &format!("lost: what stood at byte {first} of the old file{places}\n");
+    }
+    if *unknown > 0 {
+        text += &format!("left out: {unknown} messages of which nothing says any more what they are\n");
     }
     text
 }
