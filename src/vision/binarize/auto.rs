@@ -6,7 +6,9 @@
 //! (background + 16)`, which a change of the light leaves alone; the 16 keeps noise in the dark small.
 //!
 //! Where parts lie so dense that the square sees no floor, what the opening gives is parts: brighter than most of the
-//! background, and uneven. There the background is taken from around.
+//! background, and uneven. There the background is taken from around. Where parts throw shadows on a floor that is not much
+//! darker than they are, the opening gives shadow, against which the floor in the light would be object. There the background
+//! is closed.
 //!
 //! From the histogram of the contrasts inside the region come the spread of the background (median and 16th
 //! percentile) and the contrast of the parts (its upper end). Clear is twice as bright; less may be a bin's rim beside its
@@ -18,10 +20,12 @@
 //! are beyond half way: so dim ends of a part are kept while the bin's rim, dim all along, is not. Of dark parts, whose
 //! shadows are dark, too, it lies half way, a little less near such samples. Between the samples thresholds are interpolated.
 
+mod background;
 mod lone;
 
 use super::grid::{self, MARGIN};
 use crate::vision::bits::BitImage;
+use background::{fill_narrow, light_floor, see_through};
 use std::ops::Range;
 
 /// Greatest number of columns of the grid.
@@ -40,11 +44,6 @@ const FAINT_MIN: f32 = 1.3;
 const FAINT_LEVELS_MIN: f32 = 30.0;
 const FAINT_LEVELS_PER_LEVEL: f32 = 1.5;
 const NOISE_LEVELS: f32 = 12.0;
-/// Contrast from which on a background against the median one may be dense parts, and contrast that their samples then
-/// have among each other at least; a brighter table or glare is more even. Where it is floor beside a single part after all,
-/// the floor around is as bright, and nothing is lost.
-const DENSE_MIN: f32 = 1.5;
-const UNEVEN_MIN: f32 = 1.8;
 /// The contrast of the parts is what one sample in so many reaches; a rod is at least as much of the picture.
 const SAMPLES_PER_PART: usize = 800;
 /// That contrast is at most so many times the median one of what stands out, both less 1: parts above the shadow of others
@@ -90,6 +89,8 @@ struct Grid {
     region: Vec<u8>,
     /// Samples inside the region.
     inside: usize,
+    /// The median of the background inside the region, as it was opened.
+    usual: u8,
     /// Thresholds between two rows, times 4, the outermost ones twice.
     between: Vec<u16>,
     /// Thresholds of pixels left and right of every sample.
@@ -188,6 +189,7 @@ impl Grid {
             contrast: vec![0; columns * rows],
             inside: region_of_samples.iter().filter(|&&sample| sample != 0).count(),
             region: region_of_samples,
+            usual: 0,
             between: vec![0; columns + 2],
             halves: vec![0; 2 * columns],
         }
@@ -259,7 +261,12 @@ fn thresholds_for<const DARK: bool>(
     if grid.inside == 0 {
         return false;
     }
-    let found = match grid.contrasts::<DARK>(CONTRAST_MIN) {
+    let mut found = grid.contrasts::<DARK>(CONTRAST_MIN);
+    if found.is_some_and(|found| light_floor::<DARK>(grid, found.elsewhere)) {
+        contrasts::<DARK>(grid);
+        found = grid.contrasts::<DARK>(CONTRAST_MIN);
+    }
+    let found = match found {
         Some(found) => Some(found),
         None => lone::find::<DARK>(grid, row, luma_row),
     };
@@ -279,92 +286,6 @@ fn thresholds_for<const DARK: bool>(
     write_thresholds::<DARK>(grid, found);
     true
 }
-
-/// Fills what of the background is narrow and darker (for dark parts lighter) than what is to both sides of it.
-#[inline(always)]
-fn fill_narrow<const DARK: bool>(grid: &mut Grid) {
-    let (rows, columns, pitch) = (grid.rows, grid.columns, grid.pitch);
-    grid.strong.copy_from_slice(&grid.background);
-    grid::pad(&grid.strong, &mut grid.background, rows, columns, pitch);
-    grid::slide_back::<DARK>(&mut grid.background, pitch);
-    grid::slide::<DARK>(&mut grid.background, pitch);
-}
-
-/// Takes the background of samples that lie among dense parts from those around.
-#[inline(always)]
-fn see_through<const DARK: bool>(grid: &mut Grid) {
-    if mark_unknown::<DARK>(grid) {
-        fill_inwards::<DARK>(grid);
-    }
-}
-
-/// Marks in `contrast` the samples whose background may be that of parts; says whether there may be any.
-#[inline(always)]
-fn mark_unknown<const DARK: bool>(grid: &mut Grid) -> bool {
-    let (rows, columns, pitch) = (grid.rows, grid.columns, grid.pitch);
-    if grid.inside == 0 {
-        return false;
-    }
-    let median = grid.usual_background();
-    let beyond = |level: u8, limit: u8| if DARK { level < limit } else { level > limit };
-    let like_parts = level_at::<DARK>(median, factor::<DARK>(DENSE_MIN));
-    // All are looked at, many at once, which is faster than to stop at the first.
-    let like_parts_anywhere = grid
-        .contrast
-        .iter()
-        .zip(&grid.region)
-        .fold(0, |found, (&b, &inside)| found | if beyond(b, like_parts) { inside } else { 0 });
-    if like_parts_anywhere == 0 {
-        return false;
-    }
-    // The brightest (or darkest) samples of the squares.
-    grid.strong.fill(if DARK { 255 } else { 0 });
-    for y in 0..rows {
-        let out = &mut grid.strong[(y + MARGIN / 2) * pitch + MARGIN / 2..][..columns];
-        out.copy_from_slice(&grid.level[y * pitch..][..columns]);
-    }
-    grid::slide_back::<DARK>(&mut grid.strong, pitch);
-    let uneven = factor::<DARK>(UNEVEN_MIN);
-    for y in 0..rows {
-        for x in 0..columns {
-            let (background, most) = (grid.background[y * pitch + x], grid.strong[y * pitch + x]);
-            let dense = beyond(background, like_parts) && beyond(most, level_at::<DARK>(background, uneven));
-            grid.contrast[y * columns + x] = if dense { UNKNOWN } else { KNOWN };
-        }
-    }
-    true
-}
-
-/// Gives samples marked as unknown the background of known neighbours, from the border inwards.
-#[inline(always)]
-fn fill_inwards<const DARK: bool>(grid: &mut Grid) {
-    let (rows, columns, pitch) = (grid.rows, grid.columns, grid.pitch);
-    let mut changed = true;
-    while changed {
-        changed = false;
-        for (y, x) in (0..rows).flat_map(|y| (0..columns).map(move |x| (y, x))) {
-            if grid.contrast[y * columns + x] != UNKNOWN {
-                continue;
-            }
-            let around = (y.saturating_sub(1)..(y + 2).min(rows))
-                .flat_map(|v| (x.saturating_sub(1)..(x + 2).min(columns)).map(move |u| (u, v)))
-                .filter(|&(u, v)| grid.contrast[v * columns + u] == KNOWN)
-                .map(|(u, v)| grid.background[v * pitch + u]);
-            if let Some(floor) = if DARK { around.max() } else { around.min() } {
-                grid.background[y * pitch + x] = floor;
-                grid.contrast[y * columns + x] = NEWS;
-                changed = true;
-            }
-        }
-        grid.contrast.iter_mut().filter(|c| **c == NEWS).for_each(|c| *c = KNOWN);
-    }
-}
-
-/// What is known of a sample's background.
-const KNOWN: u8 = 0;
-const UNKNOWN: u8 = 1;
-/// Known since this round.
-const NEWS: u8 = 2;
 
 /// Contrast of every sample.
 #[inline(always)]

@@ -348,6 +348,29 @@ fn floor_that_a_heap_hides_is_known_from_around() {
     }
 }
 
+/// Pairs of wires with their shadows beside them, closer together than the background is looked for in.
+#[test]
+fn floor_in_the_light_between_shadows_is_no_object() {
+    let (w, h) = (640, 480);
+    for [floor, part, shadow] in [[95, 190, 28], [60, 170, 12], [130, 235, 40]] {
+        let level = |x: usize, y: usize| match (x % 120, y) {
+            (60..66 | 82..88, 120..360) => part,
+            (66..74 | 88..96, 120..360) => shadow,
+            _ => floor,
+        };
+        let frame = Frame::from_grey(w, h, (0..w * h).map(|i| level(i % w, i / w)).collect());
+        let params = Params { colour: ColourRange::Auto, ..Params::default() };
+        for &by in Level::available() {
+            let bits = run(&params, by, &frame);
+            let wrong = (0..w * h).filter(|i| {
+                let (x, y) = (i % w, i / w);
+                bits.get(x as i32, y as i32) != (level(x, y) == part)
+            });
+            assert_eq!(wrong.count(), 0, "{floor} {part} {shadow} {by:?}");
+        }
+    }
+}
+
 /// An even floor with or without bars and, beside a darker wall, a lighter rim.
 fn walled([floor, bar, wall, rim]: [u8; 4], bars: bool) -> Frame {
     let grey = |x: usize, y: usize| match x {
