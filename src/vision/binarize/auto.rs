@@ -149,12 +149,15 @@ pub(super) fn run(
         bits.clear();
         return;
     }
-    end.fill(if dark { 0 } else { 255 });
     let half = grid.step / 2;
     for band in 0..2 * grid.rows {
         let last = if band + 1 == 2 * grid.rows { bits.height() } else { (band + 1) * half };
         let ys = (band * half).min(bits.height())..last.min(bits.height());
         grid.spread(band, row);
+        // Where nothing can be that bright (or dark), what the camera clips is not.
+        for (end, &threshold) in end.iter_mut().zip(&*row) {
+            *end = if dark { u8::from(threshold == 0) } else { 255 - u8::from(threshold == 255) };
+        }
         let (lo, hi) = if dark { (&*end, &*row) } else { (&*row, &*end) };
         luma_between(ys, lo, hi, bits);
     }

@@ -348,6 +348,29 @@ fn floor_that_a_heap_hides_is_known_from_around() {
     }
 }
 
+/// Two wires, and a reflection (of dark parts: a black wall) larger than the background is looked for in, clipped or nearly.
+#[test]
+fn what_the_camera_clips_over_an_area_is_no_object() {
+    for dark in [false, true] {
+        let found = |patch: u8, by: Level| {
+            let level = |x: usize, y: usize| match (x, y) {
+                (300..306 | 400..406, 60..180) => 190,
+                (40..200, 40..200) => patch,
+                _ => 50,
+            };
+            let bytes = (0..640 * 240).map(|i| level(i % 640, i / 640));
+            let bytes = bytes.map(|v: u8| if dark { 255 - v } else { v }).collect();
+            let params = Params { colour: ColourRange::Auto, inverted: dark, ..Params::default() };
+            let bits = run(&params, by, &Frame::from_grey(640, 240, bytes));
+            assert!((60..180).all(|y| bits.get(303, y) && !bits.get(500, y)), "{patch} {by:?}");
+            (70..170).all(|y| (70..170).all(|x| !bits.get(x, y)))
+        };
+        for &by in Level::available() {
+            assert!([240, 254, 255].into_iter().all(|patch| found(patch, by)), "dark: {dark}, {by:?}");
+        }
+    }
+}
+
 /// Pairs of wires with their shadows beside them, closer together than the background is looked for in.
 #[test]
 fn floor_in_the_light_between_shadows_is_no_object() {
